@@ -304,20 +304,20 @@ MUTATIONS = (
     # what bodies reflect at most
     Mutation(
         "reflectivity/of a ping",
-        "self.own if state.reflectivity is None else self._per_unit * state.reflectivity",
+        "self.own if state.reflectivity is None else self.per_unit * state.reflectivity",
         "self.own",
         REFLECTIVITY,
     ),
     Mutation(
         "reflectivity/factor of faces",
-        "np.where(by_face, self.own, 1.0)",
+        "np.where(by_face, own, 1.0)",
         "np.ones(len(by_face))",
         REFLECTIVITY,
     ),
     Mutation(
         "reflectivity/that replaces a body's",
-        "np.where(by_face, self.own, 1.0)",
-        "1.0 * self.own",
+        "np.where(by_face, own, 1.0)",
+        "1.0 * own",
         REFLECTIVITY,
     ),
     # labels

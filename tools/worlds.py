@@ -41,13 +41,10 @@ class Opened:
     ----------
     error : message, None if it loaded
     is_crash : whether something other than an Error was raised
-    n_bodies, n_warnings : of the scene
     """
 
     error: str | None = None
     is_crash: bool = False
-    n_bodies: int = 0
-    n_warnings: int = 0
 
 
 def files_of(checkout: Path) -> list[Path]:
@@ -72,8 +69,8 @@ def open_world(path: Path, paths: list[str], with_ping: bool = False) -> list[Op
 
 
 def _opened(path: Path, kwargs: dict, with_ping: bool = False) -> Opened:
-    with warnings.catch_warnings(record=True) as noticed:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         try:
             scene = sg.load_scene(path, **kwargs)
             if with_ping and scene.bodies:
@@ -83,7 +80,7 @@ def _opened(path: Path, kwargs: dict, with_ping: bool = False) -> Opened:
             return Opened(str(why))
         except Exception as why:  # a crash is a result here
             return Opened(f"{type(why).__name__}: {why}", is_crash=True)
-    return Opened(None, False, len(scene.bodies), len(noticed))
+    return Opened()
 
 
 def reason_of(message: str) -> str:

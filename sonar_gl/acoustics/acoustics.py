@@ -14,7 +14,7 @@ from sonar_gl.acoustics.pulse import PulseResponse, bin_weights, resolution_cell
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.sea_surface import surface_backscattering
 from sonar_gl.acoustics.water import DEFAULT_WATER, Water
-from sonar_gl.core.checks import check_choice, check_kind, check_number, shown
+from sonar_gl.core.checks import check_choice, check_fields, check_kind, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.signatures import shown_by_fields
@@ -187,11 +187,7 @@ class Acoustics:
         for key in SWITCHES:
             if not isinstance(getattr(self, key), bool):
                 raise Error(f"acoustics: {key} must be True or False (got {shown(getattr(self, key))})")
-        for key, low, high, hint in BOUNDS:
-            value = getattr(self, key)
-            if value is None and self.__dataclass_fields__[key].default is None:
-                continue
-            check_number(f"acoustics: {key}", value, low, high, hint)
+        check_fields("acoustics", self, BOUNDS)
 
     def __new__(cls, *arguments, **fields):
         """Refuse fields that describe the device or the water."""

@@ -382,7 +382,7 @@ def matched_filter(
     >>> matched_filter(np.float32([[0, 0, 4, 0]]), np.float32([0.25, 0.5, 0.25])).tolist()
     [[0.0, 1.0, 2.0, 1.0]]
     """
-    half_length = min(len(weights) // 2, intensity.shape[1] - 1)
     centre = len(weights) // 2
+    half_length = min(centre, intensity.shape[1] - 1)
     weights = weights[centre - half_length : centre + half_length + 1]
     return convolve(intensity, weights, before=half_length, after=half_length, thread=thread)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from sonar_gl.acoustics.sea_surface import rms_wave_height_m
-from sonar_gl.core.checks import check_choice, check_number, shown
+from sonar_gl.core.checks import check_choice, check_fields, check_number, shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.key_values import parse_fields
@@ -210,17 +210,12 @@ class Water:
     def __post_init__(self):
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, "water")
-        for key, low, high, hint in BOUNDS:
-            value = getattr(self, key)
-            if value is None and self.__dataclass_fields__[key].default is None:
-                continue
-            check_number(f"water: {key}", value, low, high, hint)
+        check_fields("water", self, BOUNDS)
         if self.scatterer_density_m3 is not None and self.volume_backscatter_db is None:
             raise Error(
                 f"water: scatterer_density_m3 needs volume_backscatter_db (got {self.scatterer_density_m3:g} without "
                 "it; give the strength of all scatterers in a cubic metre)"
             )
-
         for text in self._likely_mistakes():
             warn_caller(f"water: {text}")
 

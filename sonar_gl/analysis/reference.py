@@ -27,10 +27,9 @@ from sonar_gl.analysis.rays import (
     form_beams,
     generate_rays,
 )
-from sonar_gl.core.checks import check_kind, check_number
+from sonar_gl.core.checks import check_kind, check_number, check_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
-from sonar_gl.noise.random_streams import check_seed
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import NEAR_M
@@ -93,7 +92,7 @@ def reference_ping(
     check_known(acoustics)
     _check_bubbles(scene, acoustics)
     _check_surface(scene, acoustics)
-    pose, seed = check_pose(pose), check_seed(seed)
+    pose, seed = check_pose(pose), check_whole_number("seed", seed)
     ray_scene = RayScene(scene, sonar.head_pose(pose), acoustics.specular)
     fan = _make_fan(sonar, acoustics)
     report = _Progress(progress or _ignore)

@@ -68,9 +68,13 @@ class Term:
         return replace(acoustics, **values), noise
 
 
-def _field_on(name: str, on, off) -> Callable:
-    """Return `Term.on` of a term that is off where one field of Acoustics has the value `off`."""
-    return lambda acoustics, noise: {name: on} if getattr(acoustics, name) == off else {}
+def _of_acoustics(name: str, field: str, on=True, off=False, **acts) -> Term:
+    """Return a term that a field of Acoustics switches by two values; `acts` : fields `acts_in` and `acts_with`."""
+
+    def switched_on(acoustics, noise) -> dict:
+        return {field: on} if getattr(acoustics, field) == off else {}
+
+    return Term(name, switched_on, {field: off}, **acts)
 
 
 def _absorption_on(acoustics, noise) -> dict:
@@ -95,65 +99,36 @@ SPECKLE = Term(
 TERMS = (
     # without absorption the TVG remains as it is, so one that assumes the right absorption assumes none
     Term("absorption", on=_absorption_on, off={"absorption_db_m": 0.0}, of_water=True),
-    Term(
-        "azimuth pattern",
-        on=_field_on("beam_pattern", "line_array", off="box"),
-        off={"beam_pattern": "box"},
-    ),
-    Term(
+    _of_acoustics("azimuth pattern", "beam_pattern", "line_array", "box"),
+    _of_acoustics(
         "conical beams",
-        on=_field_on("conical_beams", True, off=False),
-        off={"conical_beams": False},
+        "conical_beams",
         acts_with=lambda acoustics, sonar: replace(acoustics, conical_beams=True).has_cones(sonar),
     ),
-    Term(
-        "far side lobes",
-        on=_field_on("far_side_lobes", True, off=False),
-        off={"far_side_lobes": False},
-    ),
-    Term(
+    _of_acoustics("far side lobes", "far_side_lobes"),
+    _of_acoustics(
         "transmit beam",
-        on=_field_on("transmit_beam", True, off=False),
-        off={"transmit_beam": False},
+        "transmit_beam",
         acts_with=lambda acoustics, sonar: sonar.transmit_width_deg is not None,
     ),
-    Term(
-        "elevation pattern",
-        on=_field_on("elevation_pattern", "line_array", off="box"),
-        off={"elevation_pattern": "box"},
-    ),
-    Term("pulse", on=_field_on("pulse", True, off=False), off={"pulse": False}),
-    Term(
-        "lobes",
-        on=_field_on("specular", True, off=False),
-        off={"specular": False},
-        acts_in=lambda scene: any(body.specular for body in scene.bodies),
-    ),
-    Term(
-        "bubbles",
-        on=_field_on("bubbles", True, off=False),
-        off={"bubbles": False},
-        acts_in=lambda scene: bool(scene.plumes),
-    ),
-    Term("multipath", on=_field_on("multipath", "incoherent", off="none"), off={"multipath": "none"}),
-    Term(
+    _of_acoustics("elevation pattern", "elevation_pattern", "line_array", "box"),
+    _of_acoustics("pulse", "pulse"),
+    _of_acoustics("lobes", "specular", acts_in=lambda scene: any(body.specular for body in scene.bodies)),
+    _of_acoustics("bubbles", "bubbles", acts_in=lambda scene: bool(scene.plumes)),
+    _of_acoustics("multipath", "multipath", "incoherent", "none"),
+    _of_acoustics(
         "volume reverberation",
-        on=_field_on("volume_reverberation", True, off=False),
-        off={"volume_reverberation": False},
+        "volume_reverberation",
         acts_with=lambda acoustics, sonar: acoustics.water.volume_backscatter_db is not None,
     ),
-    Term(
+    _of_acoustics(
         "surface reverberation",
-        on=_field_on("surface_reverberation", True, off=False),
-        off={"surface_reverberation": False},
+        "surface_reverberation",
         acts_in=lambda scene: scene.surface_z_m is not None,
         acts_with=lambda acoustics, sonar: acoustics.water.wind_speed_m_s is not None,
     ),
-    Term(
-        "cross-talk",
-        on=_field_on("cross_talk", True, off=False),
-        off={"cross_talk": False},
-        acts_with=lambda acoustics, sonar: sonar.cross_talk_db is not None,
+    _of_acoustics(
+        "cross-talk", "cross_talk", acts_with=lambda acoustics, sonar: sonar.cross_talk_db is not None
     ),
     SPECKLE,
     Term(

@@ -114,7 +114,7 @@ class FileTrajectory(Trajectory):
 
     Parameters
     ----------
-    file : path; columns t,x,y,z,roll,pitch,yaw in seconds, metres and radians
+    file : path; columns t,x,y,z,roll,pitch,yaw in seconds, metres and radians, or qx,qy,qz,qw for the angles
 
     Raises
     ------

@@ -56,7 +56,7 @@ class SurfaceOnRays(NamedTuple):
 
 def on_rays(samples: SectorSamples, surface: WaterSurface) -> SurfaceOnRays:
     """Return the water's surface on the rays of samples."""
-    u, v = _rays(samples)
+    u, v = samples.sector.sample_coordinates()
     x, y, z = samples.sector.rotation() @ surface.up / surface.height_m
     depth_inverse = x - y * u + z * v
     is_surface = depth_inverse > samples.plane_echo[..., 0]
@@ -65,16 +65,8 @@ def on_rays(samples: SectorSamples, surface: WaterSurface) -> SurfaceOnRays:
 
 def ray_lengths(samples: SectorSamples) -> np.ndarray:
     """Return (R, C) slant range over x, along the sector's axis, of each ray."""
-    u, v = _rays(samples)
+    u, v = samples.sector.sample_coordinates()
     return np.sqrt(1 + u * u + v * v)
-
-
-def _rays(samples: SectorSamples) -> tuple[np.ndarray, np.ndarray]:
-    """Return (R, C) u and v of the rays of samples."""
-    sector, (rows, columns) = samples.sector, samples.plane_echo.shape[:2]
-    j, i = np.ogrid[0:rows, 0:columns]
-    u, v = (at[0] + at[1] * i + at[2] * j for at in (sector.u, sector.v))
-    return u, v
 
 
 def whole_sectors(samples: Sequence[SectorSamples], sectors: Sequence[Sector]) -> list[SectorSamples]:

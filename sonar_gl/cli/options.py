@@ -13,7 +13,7 @@ POSE = '"x y z roll pitch yaw", metres and radians'
 HELP = {
     "sonar": "Preset (`sonar-gl sonars` lists them) or .toml file; may go on with changes: p900-45,bandwidth_hz=30e3.",
     "pose": f"Pose of the sonar: {POSE}.",
-    "poses": "CSV file with a sequence of poses; its columns are t,x,y,z,roll,pitch,yaw.",
+    "poses": "CSV file with a sequence of poses; its columns are t,x,y,z,roll,pitch,yaw, or end in qx,qy,qz,qw.",
     "range": "Maximum range, metres; bins keep their size, or their number where the device does.",
     "bins": "Number of range bins.",
     "profile": "Acoustic model: range gain, beam patterns, pulse, bubbles.",

@@ -128,5 +128,12 @@ def _more(count: int, what: str) -> list[str]:
 
 
 def _numbers(point) -> str:
-    """Return numbers in words; 0.0 is added since -0.0 would have a sign."""
-    return " ".join(f"{value + 0.0:.4g}" for value in np.round(point, 4))
+    """Return numbers in words, far from the origin to a decimetre; 0.0 is added since -0.0 would have a sign.
+
+    >>> _numbers([2.54321, -0.0, 500012.3456])
+    '2.543 0 500012.3'
+    """
+    return " ".join(
+        f"{value + 0.0:.4g}" if abs(value) < 1000 else f"{value:.1f}".removesuffix(".0")
+        for value in np.round(point, 4)
+    )

@@ -70,6 +70,15 @@ def check_function(name: str, value, argument: str):
         raise Error(f"{name} must be a function of {argument} (got {shown(value)})")
 
 
+def holds_numbers(array) -> bool:
+    """Return whether `array` is an array of NumPy that holds real numbers, or True and False.
+
+    >>> holds_numbers(np.zeros(3)), holds_numbers([0.0]), holds_numbers(np.array([1j])), holds_numbers(np.array("1"))
+    (True, False, False, False)
+    """
+    return isinstance(array, np.ndarray) and array.dtype.kind in "biuf"
+
+
 def is_number(value) -> bool:
     """Return whether `value` is a real number of Python or NumPy; True and False are not, NaN is.
 
@@ -160,6 +169,21 @@ def check_number(what: str, value, low: float = -math.inf, high: float = math.in
         f"must lie in {low:g}..{high:g}" if len(bounds) == 2 else " and ".join(["must be finite", *bounds])
     )
     raise Error(f"{what} {wanted} (got {number_text(value)}{hint and f'; {hint}'})")
+
+
+def check_fields(what: str, settings, bounds: Iterable[tuple[str, float, float, str]]) -> None:
+    """Raise an `Error` unless fields of a dataclass are numbers within bounds; those that are None by default may be.
+
+    Parameters
+    ----------
+    what : the settings, with which the message begins, such as "sonar 'mine'"
+    settings : instance of the dataclass
+    bounds : name of each field; `low`, `high` and `hint` of `check_number`
+    """
+    for name, low, high, hint in bounds:
+        value = getattr(settings, name)
+        if value is not None or settings.__dataclass_fields__[name].default is not None:
+            check_number(f"{what}: {name}", value, low, high, hint)
 
 
 def check_whole_number(what: str, value, low: int = 0, high: int | None = None, hint: str = "") -> int:

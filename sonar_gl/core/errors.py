@@ -115,7 +115,7 @@ def nearest_names(name: str, known: Iterable[str]) -> str:
     'known are hamming, uniform'
     """
     known = sorted(known)
-    return _similar_names(name, known) or "known are " + ", ".join(known)
+    return similar_names(name, known) or "known are " + ", ".join(known)
 
 
 def nearest_of_many(name: str, known: Iterable[str]) -> str:
@@ -129,10 +129,10 @@ def nearest_of_many(name: str, known: Iterable[str]) -> str:
     known = sorted(known)
     if not known:
         return "there are none"
-    return _similar_names(name, known) or f"known are {some_names(known)}"
+    return similar_names(name, known) or f"known are {some_names(known)}"
 
 
-def _similar_names(name: str, known: list[str]) -> str:
+def similar_names(name: str, known: list[str]) -> str:
     """Return a question about the most similar known names; empty if none is similar."""
     similar = difflib.get_close_matches(name, known, n=3, cutoff=0.5) if isinstance(name, str) else []
     return "did you mean " + " or ".join(repr(n) for n in similar) + "?" if similar else ""

@@ -115,11 +115,17 @@ def _fill_poses(out: np.ndarray, numbers: np.ndarray) -> None:
 
 
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw")
+QUATERNION = "qx", "qy", "qz", "qw"  # columns that may stand in place of the three angles
+OFF_LENGTH = 1e-2  # of a unit quaternion, by the rounding of a file
 BLOCK_LINES = 20_000  # of a CSV file, read at a time
 
 
 class PoseRows(NamedTuple):
-    """Rows of a file of poses: (N, 7) float64 numbers in the order of COLUMNS, and the number of each row's line."""
+    """Rows of a file of poses.
+
+    numbers : (N, 7) float64 in the order of COLUMNS, or (N, 8) with a QUATERNION in place of the angles
+    lines : the number of each row's line
+    """
 
     numbers: np.ndarray
     lines: Sequence[int]
@@ -132,7 +138,8 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     ----------
     path : file with seconds, metres and radians. The order of columns is free; other columns and empty lines are
         ignored. Times do not fall from row to row. Angles lie within ±2π; beyond, each goes on from the row before by
-        less than π, as unwrapped angles do, and there is a warning, since degrees may do so, too
+        less than π, as unwrapped angles do, and there is a warning, since degrees may do so, too. In place of the
+        angles may stand qx,qy,qz,qw, a unit quaternion, q or -q
 
     Returns
     -------
@@ -143,8 +150,8 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     ------
     Error
         if a column is missing, a line has too few or too many cells, a cell is not a finite number, a time is earlier
-        than the one before, an angle looks like degrees, or the file has no pose. The message names file, line and
-        column.
+        than the one before, an angle looks like degrees, a quaternion is no unit one, or the file has no pose. The
+        message names file, line and column.
     """
     path = Path(path)
     check_kind_of_file(path, pipe=True)
@@ -167,9 +174,26 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
         numbers = blocks.pop(0)
         stop = first + len(numbers)
         times_s[first:stop] = numbers[:, 0]
-        _fill_poses(poses[first:stop], numbers[:, 1:])
+        fill = _fill_poses if numbers.shape[1] == len(COLUMNS) else _fill_from_quaternions
+        fill(poses[first:stop], numbers[:, 1:])
         first = stop
     return times_s, poses
+
+
+def _fill_from_quaternions(out: np.ndarray, numbers: np.ndarray) -> None:
+    """Write the (N, 4, 4) poses of (N, 7) numbers: x y z qx qy qz qw."""
+    quaternions = numbers[:, 3:]
+    x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
+    out[:] = np.eye(4)
+    out[:, :3, 3] = numbers[:, :3]
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    for i, row in enumerate(rows):
+        for j, value in enumerate(row):
+            out[:, i, j] = value
 
 
 def _read_rows(path: Path, file: TextIO) -> Iterator[PoseRows]:
@@ -218,7 +242,7 @@ def _parse_plain(lines: list[str], columns: dict[str, int], n_columns: int, n_li
         if any(n_commas[k] != n_columns - 1 for k in filled):
             return None
     if not lines:
-        return PoseRows(np.empty((0, len(COLUMNS))), ())
+        return PoseRows(np.empty((0, len(columns))), ())
     if any('"' in line for line in lines):
         return None
     try:
@@ -261,21 +285,24 @@ def _parse_cells(
 
 
 def _check_rows(path: Path, rows: PoseRows, last: np.ndarray | None, is_unwrapped: bool) -> bool:
-    """Raise an `Error` for the first row whose time falls or whose angles are wrong; return whether any is unwrapped.
+    """Raise an `Error` for the first row whose time falls or whose rotation is wrong; return whether any is unwrapped.
 
     Parameters
     ----------
-    last : (7,) numbers of the row before, None if there is none
+    last : numbers of the row before, None if there is none
     is_unwrapped : whether a warning of unwrapped angles was given
     """
     numbers = rows.numbers
     before = np.concatenate([numbers[:1] if last is None else last[None], numbers[:-1]])
-    angles = numbers[:, 4:]
-    is_beyond = (np.abs(angles) > TURN_RAD).any(axis=1)
+    angles, is_quaternion = numbers[:, 4:], numbers.shape[1] > len(COLUMNS)
+    is_beyond = (np.abs(angles) > TURN_RAD).any(axis=1) & (not is_quaternion)
     is_jump = (np.abs(angles - before[:, 4:]) >= np.pi).any(axis=1)
     if last is None:
         is_jump[0] = True
     is_wrong = is_beyond & (is_jump | (np.abs(angles) > MAX_UNWRAPPED_RAD).any(axis=1))
+    if is_quaternion:
+        lengths = np.linalg.norm(angles, axis=1)
+        is_wrong = np.abs(lengths - 1) > OFF_LENGTH
     falls = numbers[:, 0] < before[:, 0]
     if (wrong := np.flatnonzero(is_wrong | falls)).size:
         at = wrong[0]
@@ -283,6 +310,11 @@ def _check_rows(path: Path, rows: PoseRows, last: np.ndarray | None, is_unwrappe
         if falls[at]:
             got = f"{numbers[at, 0]:g} s after {before[at, 0]:g} s"
             raise Error(f"{location}, column t: times must not fall (got {got}; sort the rows)")
+        if is_quaternion:
+            raise Error(
+                f"{location}: qx qy qz qw must be a unit quaternion (got {' '.join(f'{n:g}' for n in angles[at])}, of "
+                f"length {lengths[at]:.3g})"
+            )
         roll, pitch, yaw = angles[at]
         raise Error(
             f"{location}: pose angles must be radians, within ±2π or unwrapped, in steps of less than π from line "
@@ -298,16 +330,18 @@ def _check_rows(path: Path, rows: PoseRows, last: np.ndarray | None, is_unwrappe
 
 
 def _column_indices(location: str, header: list[str]) -> dict[str, int]:
-    """Return a dict from the name of each column to its index in a line."""
-    wanted = ",".join(COLUMNS)
-    for name in COLUMNS:
+    """Return a dict from the name of each column to its index in a line: COLUMNS, or those with a QUATERNION."""
+    has_quaternion = set(QUATERNION) & set(header) and not set(COLUMNS) <= set(header)
+    names = (*COLUMNS[:4], *QUATERNION) if has_quaternion else COLUMNS
+    others = "" if has_quaternion else f", or {','.join(QUATERNION)} in place of the angles"
+    for name in names:
         if header.count(name) != 1:
             what = "more than once" if name in header else "not there"
             raise Error(
-                f"{location}: column {name} is {what}; the first line must name the columns {wanted} "
+                f"{location}: column {name} is {what}; the first line must name the columns {','.join(names)}{others} "
                 f"(got {shown(','.join(header))})"
             )
-    return {name: header.index(name) for name in COLUMNS}
+    return {name: header.index(name) for name in names}
 
 
 def _number(location: str, name: str, cell: str) -> float:

@@ -482,7 +482,7 @@ class ReplanTrigger:
 
     def _change_since(self, last: LastCheck | PingHistory, pose, state: SceneState) -> tuple[float, float]:
         """Return by how much sonar or bodies have moved since some ping; infinite if bodies came or went."""
-        moved, turned = _motion(last.pose[None], pose[None])
+        moved, turned = _motion_of_one(last.pose, pose)
         before = last.state
         if state is not before:
             if len(state.present) != len(before.present) or (state.present != before.present).any():
@@ -498,5 +498,17 @@ def _motion(before, after) -> tuple[float, float]:
         return 0.0, 0.0
     apart = after[:, :3, 3] - before[:, :3, 3]
     moved = math.sqrt(float((apart * apart).sum(axis=1).max()))
-    turned = float((before[:, :3, :3] * after[:, :3, :3]).sum(axis=(1, 2)).min())
-    return moved, math.acos(min(1.0, max(-1.0, (turned - 1) / 2)))
+    return moved, _angle_of((before[:, :3, :3] * after[:, :3, :3]).sum(axis=(1, 2)).min())
+
+
+def _motion_of_one(before, after) -> tuple[float, float]:
+    """Return the same of one (4, 4) pose, in a fifth of NumPy's time, which every ping takes twice."""
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = before.tolist()
+    (p, q, r, u), (j, k, m, v), (n, o, s, w), _ = after.tolist()
+    trace = a * p + b * q + c * r + d * j + e * k + f * m + g * n + h * o + i * s
+    return math.dist((x, y, z), (u, v, w)), _angle_of(trace)
+
+
+def _angle_of(trace: float) -> float:
+    """Return the angle of the rotation that leads from one matrix to another; `trace` : the sum of their products."""
+    return math.acos(min(1.0, max(-1.0, (float(trace) - 1) / 2)))

@@ -153,8 +153,7 @@ class ErrorModel:
     def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
         self.tolerance, self.finest = check_tolerance(tolerance), FINEST_LEVEL
         self._stages, self._sonar = stages, stages.sonar
-        self._gain, self._specular = gain, stages.acoustics.specular
-        self._extents = BodyExtents(self.bodies, self._specular)
+        self._gain, self._extents = gain, BodyExtents(self.bodies, stages.acoustics.specular)
         self._reach_rad = stages.acoustics.receive_support_rad(self._sonar)
 
     def forget_limit(self) -> None:

@@ -39,6 +39,7 @@ class Instrument:
         background=None,
         surface_z_m: float | None = None,
         needs_lobes: bool = False,
+        texture: np.ndarray | None = None,
     ) -> PingSetup:
         """Return a request with what it takes to receive it; from `background` on as in `PingSetup`.
 
@@ -51,10 +52,8 @@ class Instrument:
         if request.water is not None:
             acoustics = acoustics.in_water(request.water)
             gain, pulse = self._receiver_in(acoustics)
-        head_pose = self.sonar.head_pose(request.pose)
-        return PingSetup(
-            request, head_pose, state, acoustics, gain, pulse, n_bodies, background, surface_z_m, needs_lobes
-        )
+        made = self.sonar.head_pose(request.pose), state, acoustics, gain, pulse, n_bodies
+        return PingSetup(request, *made, background, surface_z_m, needs_lobes, texture)
 
     def _receiver_in(self, acoustics: Acoustics) -> tuple[np.ndarray, np.ndarray | None]:
         """Return gain and pulse in some water."""

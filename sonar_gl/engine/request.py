@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.acoustics.water import Water
-from sonar_gl.core.checks import check_kind, check_number, shown
+from sonar_gl.core.checks import check_kind, check_number, check_whole_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.motion import check_velocity
-from sonar_gl.noise.random_streams import check_seed
 from sonar_gl.noise.settings import Noise
 from sonar_gl.sonar.counts import LEVEL_BOUND_DB
 
@@ -77,9 +76,9 @@ class PingRequest:
             raise Error(f"labels must be True or False (got {shown(self.labels)})")
         checked = {
             "pose": check_pose(self.pose),
-            "seed": check_seed(self.seed),
+            "seed": check_whole_number("seed", self.seed),
             "velocity": check_velocity(self.velocity),
-            "number": check_seed(self.number, "ping_number"),
+            "number": check_whole_number("ping_number", self.number),
             "labels": bool(self.labels),
             "background": _names(self.background),
         }

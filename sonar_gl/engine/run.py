@@ -136,8 +136,8 @@ class Run:
         needs_lobes = request.needs_noise_parts and self._returns_lobes(state)
         texture = self._texture_of(state) if request.needs_noise_parts else None
         n_bodies, surface_z_m = len(world.scene.bodies), world.scene.surface_z_m
-        setup = self.instrument.set_up(request, state, n_bodies, background, surface_z_m, needs_lobes)
-        return setup if texture is None else replace(setup, texture=texture)
+        more = background, surface_z_m, needs_lobes, texture
+        return self.instrument.set_up(request, state, n_bodies, *more)
 
     def _returns_lobes(self, state: SceneState) -> bool:
         """Return whether a body that is present may return a specular lobe."""

@@ -385,7 +385,6 @@ class BodyExtents:
     ----------
     bodies : of the scene
     specular : with the specular lobes of smooth bodies
-
     """
 
     def __init__(self, bodies, specular: bool = False):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_kind, check_whole_number, shown
+from sonar_gl.core.checks import check_choice, check_kind, check_whole_number, holds_numbers, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
@@ -125,7 +125,7 @@ def fan_geometry(ping: Ping, height: int = 800) -> FanGeometry:
     height = check_whole_number("height of a fan image", height, 1, MAX_HEIGHT, "give pixels")
     for name in ("intensity", "azimuth_rad", "range_m"):
         array = getattr(ping, name)
-        if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        if not holds_numbers(array):
             raise Error(
                 f"a ping's {name} must be an array of numbers (got {shown(array)}; numpy.array makes one)"
             )

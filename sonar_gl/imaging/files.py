@@ -15,7 +15,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.atomic_file import atomic_write, describe_os_error, temporary_path
-from sonar_gl.core.checks import check_kind, check_number, shown
+from sonar_gl.core.checks import check_kind, check_number, holds_numbers, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_is_file
 from sonar_gl.core.npz import read_npz
@@ -120,7 +120,7 @@ def npz_bytes(ping: Ping) -> bytes:
         name: np.asarray(array) for name, array in arrays.items() if array is not None or name in needed
     }
     for name, array in arrays.items():
-        if array.dtype.kind not in "biuf":
+        if not holds_numbers(array):
             raise Error(f"{name} of the ping must be numbers (got {shown(getattr(ping, name))})")
     _check_shapes(arrays)  # as `load_npz` does: what is written can be read
     known = {name: getattr(ping, name) for name in DESCRIBED if getattr(ping, name) is not None}

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from sonar_gl.core.checks import check_whole_number
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.noise.field import FieldNoise
 from sonar_gl.noise.gaussian import add_normal
 from sonar_gl.noise.hidden_labels import without_hidden_labels
-from sonar_gl.noise.random_streams import check_seed, stream
+from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import NOISE_PARTS, Ping
@@ -43,7 +44,7 @@ def add_noise(
     Error
         if a seed is no whole number, or a term needs a sonar or a pose that the ping lacks.
     """
-    seed, ping_number = check_seed(seed), check_seed(ping_number, "ping_number")
+    seed, ping_number = check_whole_number("seed", seed), check_whole_number("ping_number", ping_number)
     if noise is None or not (noise.acts_on_field or noise.acts_on_bins):
         return ping
     out = np.array(ping.intensity, dtype=np.float32, order="C")

@@ -20,11 +20,6 @@ STREAMS = {
 }
 
 
-def check_seed(number, what: str = "seed") -> int:
-    """Return `number` as an int; raise an Error that names `what` unless it is a whole number, 0 or more."""
-    return check_whole_number(what, number)
-
-
 def stream(seed: int, ping_number: int, term: str, *more: int) -> np.random.Generator:
     """Return the random generator of one noise term of one ping.
 
@@ -39,5 +34,6 @@ def stream(seed: int, ping_number: int, term: str, *more: int) -> np.random.Gene
     >>> bool(stream(7, 0, "speckle").random() == stream(7, 0, "speckle").random())
     True
     """
-    key = (check_seed(ping_number, "ping_number"), STREAMS[term], *more)
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(check_seed(seed), spawn_key=key)))
+    key = check_whole_number("ping_number", ping_number), STREAMS[term], *more
+    sequence = np.random.SeedSequence(check_whole_number("seed", seed), spawn_key=key)
+    return np.random.Generator(np.random.SFC64(sequence))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sonar_gl.core.checks import check_number, check_whole_number, is_number, shown
+from sonar_gl.core.checks import check_fields, check_whole_number, is_number, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.signatures import shown_by_fields
@@ -22,7 +22,6 @@ BOUNDS = (  # field, least, most, hint
     ("interference_db", -300, 100, LEVEL),
     ("dropped_beams", 0, 1, "a fraction of the beams"),
 )
-MAY_BE_NONE = ("ambient_db",)
 SWITCHES = ("speckle", "follow_motion", "self_noise", "thermal_noise")
 MOVED = {
     "electronic_db": ("self_noise", "self_noise_db")
@@ -88,11 +87,7 @@ class Noise:
         for key in SWITCHES:
             if not isinstance(getattr(self, key), (bool, np.bool_)):
                 raise Error(f"noise: {key} must be True or False (got {shown(getattr(self, key))})")
-        for key, low, high, hint in BOUNDS:
-            value = getattr(self, key)
-            if value is None and key in MAY_BE_NONE:
-                continue
-            check_number(f"noise: {key}", value, low, high, hint)
+        check_fields("noise", self, BOUNDS)
         check_whole_number("noise: looks", self.looks, 1, 1000)
         # follow_motion does nothing without it: "physical,speckle=no" is plain
         if not self.speckle and self.looks != 1:

@@ -158,11 +158,8 @@ def make_engine(
     if context is not None:
         return opengl.engine.OpenGLEngine(scene, None)
     is_sure = asked == "opengl" or device is not None
-    if asked == "auto" and os.environ.get(DEVICE_VARIABLE, "").strip():
-        is_sure = True
-    if asked == "cpu" and not is_sure:
-        return CpuEngine(scene)
-    if not is_sure and not has_graphics_card():
+    is_sure |= asked == "auto" and bool(os.environ.get(DEVICE_VARIABLE, "").strip())
+    if not is_sure and (asked == "cpu" or not has_graphics_card()):
         return CpuEngine(scene)
     # loaded here alone, since the CPU needs nothing of OpenGL
     made = opengl.engine.by_device(scene, device) if is_sure else opengl.engine.by_card(scene)

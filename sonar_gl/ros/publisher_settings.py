@@ -13,7 +13,6 @@ from sonar_gl.core.checks import check_choice, check_kind, check_number, check_w
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import colours
-from sonar_gl.noise.random_streams import check_seed
 from sonar_gl.ros.messages import BEAMS, TF
 from sonar_gl.sonar.sampling import check_tolerance
 
@@ -153,7 +152,7 @@ class PublisherSettings:
             colours(self.colormap)
         check_whole_number("points_columns", self.points_columns, 1, 4096)
         check_whole_number("points_rows", self.points_rows, 1, 4096)
-        check_seed(self.seed)
+        check_whole_number("seed", self.seed)
         check_tolerance(self.tolerance)
         check_kind("mount", self.mount, tuple | list, "give six numbers: x y z roll pitch yaw")
         if len(self.mount) != 6:

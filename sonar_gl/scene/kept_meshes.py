@@ -24,9 +24,7 @@ class KeptMeshes:
 
     def scene(self, scene: Scene) -> Scene:
         """Return the same scene with bodies whose meshes nobody else can change."""
-        kept = copy(scene)
-        kept.bodies = tuple(self.bodies(scene.bodies))
-        return kept
+        return scene.with_bodies(self.bodies(scene.bodies))
 
     def bodies(self, bodies: Iterable) -> list:
         """Return bodies whose meshes nobody else can change; plumes stay as they are."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import html
 import os
 import re
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sonar_gl.core.data_files import data_folder
-from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.errors import Error, errors_at, nearest_names, similar_names
 from sonar_gl.core.input_files import check_is_file, check_no_link_loop
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import mesh_files, mujoco_model
@@ -103,7 +104,8 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
         if path.is_dir():
             raise Error(f"{path}: must be a file, or the folder of a model (it has no model.sdf)")
         if not path.exists():
-            raise Error(f"{path}: there is no such file (bundled scenes are named without an ending)")
+            hint = _similar_files(path) or "bundled scenes are named without an ending"
+            raise Error(f"{path}: there is no such file ({hint})")
         check_is_file(path)
         if suffix in mesh_files.SUFFIXES:
             return _read_mesh_scene(path)
@@ -115,12 +117,25 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
         raise Error(f"{path}: USD is not read; convert it to .glb, for instance by Blender")
     if path.is_dir():
         raise Error(f"{path}: a folder must be that of a model (it has neither model.config nor model.sdf)")
+    if re.search(r"\.xacro\s+\w+=", str(what)) and not path.exists():
+        raise Error(f"{path}: arguments of xacro are given as name:=value, with a colon")
     if path.exists() or suffix or path.name != str(what):
         raise Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
     hint = nearest_names(str(what), bundled)
     if str(what) in bundled:
         hint = "a Path is that of a file: name a bundled scene by text"
     raise Error(f"there is no bundled scene {str(what)!r} ({hint}; a file must end in one of {endings})")
+
+
+def _similar_files(path: Path) -> str:
+    """Return a question about files of scenes beside a missing one that have similar names; empty if there are none."""
+    try:
+        files = sorted(one for one in path.parent.iterdir() if one.suffix.lower() in SUFFIXES)
+    except OSError:
+        return ""
+    # endings are alike in any two names
+    near = difflib.get_close_matches(path.stem.lower(), {one.stem.lower() for one in files}, cutoff=0.6)
+    return similar_names(path.name, [one.name for one in files if one.stem.lower() in near])
 
 
 def _read_mesh_scene(path: Path) -> Scene:

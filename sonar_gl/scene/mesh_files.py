@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_is_file
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.collada_files import read_collada
@@ -99,7 +99,8 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
             check_positions(path)
             scene = _load(path, resolver=MeshBuffers(path, roots or [path.parent]))
         elif path.suffix.lower() == ".obj":
-            file = io.BytesIO(tidy_obj(path.read_bytes()))
+            with errors_at(str(path)):
+                file = io.BytesIO(tidy_obj(path.read_bytes()))
             scene = _load(file, file_type="obj", resolver=NoFiles(path))
         else:
             scene = _load(path, resolver=NoFiles(path))

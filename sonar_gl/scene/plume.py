@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind, check_number, check_whole_number
+from sonar_gl.core.checks import check_fields, check_kind, check_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 
@@ -73,9 +73,7 @@ class Bubbles:
     def __post_init__(self):
         check_kind("the name of bubbles", self.name, str, 'such as "diver::bubbles"')
         location = f"bubbles {self.name!r}"
-        for key, low, high, hint in BOUNDS:
-            if key != "breath_s" or self.breath_s is not None:
-                check_number(f"{location}: {key}", getattr(self, key), low, high, hint)
+        check_fields(location, self, BOUNDS)
         check_whole_number(f"{location}: seed", self.seed)
         number = self.rate_hz * self._max_age_s()
         if number > MAX_BUBBLES:

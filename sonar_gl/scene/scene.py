@@ -56,8 +56,8 @@ class Body:
     mesh : trimesh.Trimesh, metres; need not be closed: both sides of a face echo. A simulator copies it when it takes
         the body: what is changed in it later acts on bodies that are added later
     pose : (4, 4) world_from_body; None is the identity
-    reflectivity : μ, 0..1, 0.5 by default, or (F,), one value a face; or the name of a material, which also sets
-        `specular` and `roughness_rad` unless these are given
+    reflectivity : μ, 0..1, or (F,), one value a face; or the name of a material, which also sets `specular` and
+        `roughness_rad` unless these are given. None: the material's, or 0.5
     normals : None (flat faces) or (V, 3) shading normals, used only for the incidence angle
     specular : strength of the specular lobe, 0..1: the intensity reflection coefficient |R|² of the smooth
         part of the surface at normal incidence. Profiles with `specular` add the lobe to the diffuse echo.
@@ -65,7 +65,7 @@ class Body:
         material's, or 0
     roughness_rad : 0.01..0.5, rms slope of the facets along any one direction, which sets the lobe's width. None: the
         material's, or 0.1
-    material : name of the material, if one was given by name
+    material : name of the material; it sets what is left out of `reflectivity`, `specular` and `roughness_rad`
     speckle_shape : ν of the K distribution, 0.05..1e4: where noise has speckle, a Gamma(ν, 1/ν) texture also multiplies
         the body's diffuse echo, as of a floor with few or patchy scatterers, and the contrast becomes √(1 + 2/ν); None
         for fully developed speckle
@@ -84,7 +84,7 @@ class Body:
     name: str
     mesh: trimesh.Trimesh = _LazyMesh()
     pose: np.ndarray = None
-    reflectivity: float | np.ndarray = DEFAULT_REFLECTIVITY
+    reflectivity: float | np.ndarray | str | None = None
     normals: np.ndarray | None = None
     specular: float = None
     roughness_rad: float = None
@@ -105,7 +105,13 @@ class Body:
             self._set("speckle_shape", check_number(what, self.speckle_shape, *SPECKLE_SHAPE_BOUNDS, hint))
         one_value = np.ndim(self.reflectivity) == 0
         shape = () if one_value else (n_faces,)
-        mu = frozen_array(self.reflectivity, np.float64, shape, f"{location}: reflectivity")
+        mu = frozen_array(
+            self.reflectivity,
+            np.float64,
+            shape,
+            f"{location}: reflectivity",
+            "give one number, or one for each face",
+        )
         if mu.min() < 0 or mu.max() > 1:
             raise Error(
                 f"{location}: reflectivity must lie in 0..1 (got {mu.min():g} to {mu.max():g}; "
@@ -159,11 +165,15 @@ class Body:
             self._set("specular", None)
             self._set("roughness_rad", None)
         if by_name:
-            self._set("reflectivity", found.reflectivity)
+            self._set("reflectivity", None)
         self._set("material", found and found.name)
-        for key, default in (("specular", 0.0), ("roughness_rad", 0.1)):
+        for key, default in (
+            ("reflectivity", DEFAULT_REFLECTIVITY),
+            ("specular", 0.0),
+            ("roughness_rad", 0.1),
+        ):
             if getattr(self, key) is None:
-                value = getattr(found, key) if by_name else None
+                value = getattr(found, key, None)
                 self._set(key, default if value is None else value)
 
 
@@ -180,6 +190,8 @@ def body_at(name: str, shape: Shape, world_from_body) -> Body:
 
 class Scene:
     """Bodies, bubble plumes, the water's surface, and the pose of the sonar if the scene's file has one.
+
+    A scene does not change: methods return another one, and simulators place and add bodies on their own.
 
     Parameters
     ----------
@@ -202,8 +214,17 @@ class Scene:
     Raises
     ------
     Error
-        if two names are equal, or the surface's numbers are out of bounds.
+        if two names are equal, or the surface's numbers are out of bounds; if an attribute is set later.
     """
+
+    bodies: tuple[Body, ...]
+    plumes: tuple[Bubbles, ...]
+    sonar_pose: np.ndarray | None
+    name: str
+    surface_z_m: float | None
+    surface_roughness_m: float
+    sensors: tuple[SonarSensor, ...]
+    models: dict[str, np.ndarray]
 
     def __init__(
         self,
@@ -216,29 +237,62 @@ class Scene:
         models: dict | None = None,
     ):
         things = list(bodies) if isinstance(bodies, Iterable) and not isinstance(bodies, str) else [bodies]
-        self.bodies, self.plumes = _bodies_and_plumes(things)
-        self.sonar_pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
+        bodies, plumes = _bodies_and_plumes(things)
+        pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
         check_kind("the name of a scene", name, str, 'the stem of file names, such as "harbour"')
         check_kind("sensors of a scene", sensors, Iterable, "those of another scene are `scene.sensors`")
         models = {} if models is None else models
         check_kind("models of a scene", models, dict, "those of another scene are `scene.models`")
         for model in models:
             check_kind("the name of a model", model, str, 'such as "boat"')
-        self.name, self.sensors = name, tuple(sensors)
-        self.models = {
-            model: check_pose(where, f"the pose of model {model!r}") for model, where in models.items()
-        }
-        for sensor in self.sensors:
+        models = {model: check_pose(where, f"the pose of model {model!r}") for model, where in models.items()}
+        sensors = tuple(sensors)
+        for sensor in sensors:
             check_kind(
                 "a sensor of a scene", sensor, SonarSensor, "those of another scene are `scene.sensors`"
             )
-        self.surface_z_m = surface_z_m
         if surface_z_m is not None:
-            self.surface_z_m = check_number("surface_z_m of a scene", surface_z_m, -1e5, 1e5, "give metres")
-        self.surface_roughness_m = check_number(
-            "surface_roughness_m of a scene", surface_roughness_m, 0, 100, "give metres"
+            surface_z_m = check_number("surface_z_m of a scene", surface_z_m, -1e5, 1e5, "give metres")
+        roughness = check_number("surface_roughness_m of a scene", surface_roughness_m, 0, 100, "give metres")
+        _check_bodies(bodies, plumes)
+        vars(self).update(
+            bodies=bodies,
+            plumes=plumes,
+            sonar_pose=pose,
+            name=name,
+            surface_z_m=surface_z_m,
+            surface_roughness_m=roughness,
+            sensors=sensors,
+            models=models,
         )
-        _check_bodies(self.bodies, self.plumes)
+
+    def __setattr__(self, name: str, value):
+        raise Error(
+            f"a Scene must not be changed (got a new value of {name!r}; with_bodies, with_more, without, only "
+            "and with_surface return another scene, and a Simulator places and adds bodies)"
+        )
+
+    def with_bodies(self, bodies: Iterable[Body]) -> Scene:
+        """Return the same scene with these bodies in the place of its own; its plumes stay.
+
+        Examples
+        --------
+        Another material for one body of a file:
+
+        >>> from dataclasses import replace
+        >>> from sonar_gl import load_scene
+        >>> scene = load_scene("pylon")
+        >>> with_wood = scene.with_bodies(
+        ...     replace(body, reflectivity="wood") if body.name == "box" else body for body in scene.bodies
+        ... )
+        >>> [body.name for body in with_wood.bodies if body.material == "wood"]
+        ['box']
+        """
+        check_kind("bodies of a scene", bodies, Iterable, "give several, as in scene.with_bodies([body])")
+        bodies = list(bodies)
+        for body in bodies:
+            check_kind("each of the bodies", body, Body, "the plumes of the scene stay")
+        return self._with([*bodies, *self.plumes])
 
     def with_more(self, bodies: Iterable[Body | Bubbles]) -> Scene:
         """Return the same scene with more bodies and plumes, after its own."""
@@ -246,7 +300,7 @@ class Scene:
         added, added_plumes = _bodies_and_plumes(bodies)
         # the bodies of this scene are not gone through again: a simulator may add thousands, one by one
         out = self._with(())
-        out.bodies, out.plumes = (*self.bodies, *added), (*self.plumes, *added_plumes)
+        vars(out).update(bodies=(*self.bodies, *added), plumes=(*self.plumes, *added_plumes))
         _check_bodies(out.bodies, out.plumes)
         return out
 

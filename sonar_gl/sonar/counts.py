@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_number, is_whole_number, shown
+from sonar_gl.core.checks import check_choice, check_number, holds_numbers, is_whole_number, shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.key_values import parse_fields
 
@@ -158,7 +158,8 @@ class Counts:
     def share(self, intensity: np.ndarray) -> np.ndarray:
         """Return the share of full scale, float32 0..1 and not rounded, of intensities, (N, M) or (N,).
 
-        Automatic gain is that of these intensities. Raises Error if they are no array of numbers.
+        NaN, an unknown intensity, has the share 0, as no echo has. Automatic gain is that of these intensities. Raises
+        Error if they are no array of numbers.
         """
         import cv2  # its functions take a tenth of NumPy's time; what only lists sonars need not wait for it
 
@@ -177,6 +178,7 @@ class Counts:
             cv2.log(flat, dst=flat)
             flat *= 10 / math.log(10) / window_db
             flat -= dark_db / window_db
+        cv2.patchNaNs(flat, 0.0)  # what a cast makes of them depends on the processor
         return np.clip(share, 0, 1, out=share)
 
     def apply(self, intensity: np.ndarray) -> np.ndarray:
@@ -222,12 +224,10 @@ class Counts:
 def _numbers(values, what: str = "intensity") -> np.ndarray:
     """Return an array of floats, those that are given where they are some; raise an `Error` if they are no numbers."""
     out = np.asarray(values)
-    if out.dtype.kind in "biu":
-        out = out.astype(np.float64)
-    if out.dtype.kind != "f" or (out.ndim == 0 and what == "intensity"):
+    if not holds_numbers(out) or (out.ndim == 0 and what == "intensity"):
         wanted = "an array of real numbers" if what == "intensity" else "real numbers"
         raise Error(f"{what} must be {wanted} (got {shown(values)})")
-    return out
+    return out if out.dtype.kind == "f" else out.astype(np.float64)
 
 
 DEFAULT_COUNTS = Counts()  # of a sonar that states none

@@ -102,7 +102,7 @@ class Sector:
 
     def sample_coordinates(self) -> tuple[np.ndarray, np.ndarray]:
         """Return u and v of all samples on the image plane, each (R, C) float64."""
-        j, i = np.mgrid[0 : self.rows, 0 : self.columns]
+        j, i = np.ogrid[0 : self.rows, 0 : self.columns]
         return self.u[0] + self.u[1] * i + self.u[2] * j, self.v[0] + self.v[1] * i + self.v[2] * j
 
     def holds_elevation(self, u, v) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from sonar_gl.core.checks import (
     check_choice,
+    check_fields,
     check_number,
     check_whole_number,
     frozen_array,
@@ -42,16 +43,27 @@ CHOICES = {  # field: allowed names
     "elevation_taper": TAPERS,
     "pulse_taper": ("uniform", "hamming"),
 }
-MAY_BE_NONE = (
-    "range_limit_m",
-    "element_error_db",
-    "transmit_width_deg",
-    "bandwidth_hz",
-    "ping_rate_max_hz",
-    "source_level_db",
-    "cross_talk_db",
-    "ring_down_db",
-    "common_noise_db",
+BOUNDS = (  # field, least and greatest value, hint for messages
+    ("frequency_hz", 1e4, 1e8, "give hertz, 900e3 for 900 kHz"),
+    ("azimuth_fov_deg", 0.01, 360.0, "give degrees"),
+    ("elevation_fov_deg", 0.01, 170.0, "give degrees"),
+    ("beam_width_deg", 1e-3, 180.0, "give degrees"),
+    ("range_min_m", 0.0, 1e5, "give metres"),
+    ("range_max_m", *RANGE_MAX_BOUNDS_M, "give metres"),
+    ("range_limit_m", *RANGE_MAX_BOUNDS_M, "give metres"),
+    ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
+    ("element_error_db", -80, -15, "give dB relative to the main lobe, negative"),
+    ("transmit_width_deg", 1e-3, 180, "give degrees"),
+    ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
+    ("cross_talk_db", -120, 0, "give dB relative to the echo in the other beam, not above 0"),
+    ("ring_down_db", -300, 300, LEVEL),
+    ("ring_down_decay_db_m", 0.1, 1e5, "give dB per metre of range, positive"),
+    ("tilt_deg", -90, 90, "give degrees, positive down"),
+    ("ping_rate_max_hz", 1e-3, 1e4, "give pings per second"),
+    ("source_level_db", 100, 260, "give dB re 1 µPa at 1 m, about 200"),
+    ("self_noise_db", -300, 100, LEVEL),
+    ("common_noise_db", -300, 100, LEVEL),
+    ("common_noise_width_deg", 1e-3, 180, "give degrees"),
 )
 UNPARSED = "name", "beam_azimuths_deg", "source", "counts"  # fields that a command line cannot set
 
@@ -169,32 +181,7 @@ class Sonar:
                     f"{location}: n_bins must not exceed n_bins_max "
                     f"(got {self.n_bins} and {self.n_bins_max}; set a shorter range, or leave n_bins_max out)"
                 )
-        for key, low, high, hint in (
-            ("frequency_hz", 1e4, 1e8, "give hertz, 900e3 for 900 kHz"),
-            ("azimuth_fov_deg", 0.01, 360.0, "give degrees"),
-            ("elevation_fov_deg", 0.01, 170.0, "give degrees"),
-            ("beam_width_deg", 1e-3, 180.0, "give degrees"),
-            ("range_min_m", 0.0, 1e5, "give metres"),
-            ("range_max_m", *RANGE_MAX_BOUNDS_M, "give metres"),
-            ("range_limit_m", *RANGE_MAX_BOUNDS_M, "give metres"),
-            ("side_lobe_db", 15, 60, "give dB below the main lobe, positive"),
-            ("element_error_db", -80, -15, "give dB relative to the main lobe, negative"),
-            ("transmit_width_deg", 1e-3, 180, "give degrees"),
-            ("bandwidth_hz", 1, 1e8, "give hertz, 30e3 for 30 kHz"),
-            ("cross_talk_db", -120, 0, "give dB relative to the echo in the other beam, not above 0"),
-            ("ring_down_db", -300, 300, LEVEL),
-            ("ring_down_decay_db_m", 0.1, 1e5, "give dB per metre of range, positive"),
-            ("tilt_deg", -90, 90, "give degrees, positive down"),
-            ("ping_rate_max_hz", 1e-3, 1e4, "give pings per second"),
-            ("source_level_db", 100, 260, "give dB re 1 µPa at 1 m, about 200"),
-            ("self_noise_db", -300, 100, LEVEL),
-            ("common_noise_db", -300, 100, LEVEL),
-            ("common_noise_width_deg", 1e-3, 180, "give degrees"),
-        ):
-            value = getattr(self, key)
-            if value is None and key in MAY_BE_NONE:
-                continue
-            check_number(f"{location}: {key}", value, low, high, hint)
+        check_fields(location, self, BOUNDS)
         if not isinstance(self.keeps_n_bins, bool):
             raise Error(f"{location}: keeps_n_bins must be true or false (got {shown(self.keeps_n_bins)})")
         for key, names in CHOICES.items():

@@ -22,6 +22,7 @@ from sonar_gl.core.extras import install_command
 from sonar_gl.ping import Ping
 from tests.support import command_line
 from tests.support.command_line import BOX, SENSOR, SONAR, WALL
+from tests.support.processes import python
 
 pytestmark = pytest.mark.usefixtures("few_first_rays")
 
@@ -283,11 +284,9 @@ def test_without_a_terminal_lines_show_that_rays_are_being_cast(monkeypatch):
 @pytest.mark.slow
 def test_a_terminal_shows_that_rays_are_being_cast():
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "sonar_gl", "verify", "tank.sdf", "--sonar", "small.toml",
-               "--tolerance", "0.1", "--height", "60"]  # fmt: skip
-    home = str(Path(sg.__file__).parent.parent)
-    environment = {**os.environ, "PYTHONPATH": home}
-    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, stderr=theirs, timeout=60)
+    how = "tank.sdf", "--sonar", "small.toml", "--tolerance", "0.1", "--height", "60"
+    streams = {"capture_output": False, "stdout": subprocess.PIPE, "stderr": theirs}
+    done = python("-m", "sonar_gl", "verify", *how, **streams)
     os.close(theirs)
     shown = os.read(ours, 100_000).decode()
     os.close(ours)
@@ -296,4 +295,4 @@ def test_a_terminal_shows_that_rays_are_being_cast():
     assert first == CASTING
     counts = re.findall(r"([\d.]+) of about ([\d.]+) million rays", "".join(others))
     assert len(counts) > 5 and all(float(cast) <= float(expected) * 1.01 for cast, expected in counts)
-    assert b"casting" not in done.stdout and b"million rays" in done.stdout
+    assert "casting" not in done.stdout and "million rays" in done.stdout

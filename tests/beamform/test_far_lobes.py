@@ -1,11 +1,7 @@
 """Far side lobes against the pattern itself: all beams over all columns, a floor, and the level of a wall."""
 
 import math
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +14,7 @@ from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.sonar import presets
+from tests.support.processes import python
 
 P900 = sg.load_sonar("p900-45")
 PHYSICAL = sg.Acoustics.physical(elevation_pattern="box")
@@ -178,9 +175,7 @@ def test_lapack_has_one_thread_and_is_looked_for_once():
     Another process has loaded NumPy's libraries alone, and decomposed nothing yet.
     """
     settings = {f"{name}_NUM_THREADS": "2" for name in ("OPENBLAS", "OMP", "MKL")}
-    environment = {**os.environ, **settings, "PYTHONPATH": str(Path(sg.__file__).parent.parent)}
-    command = [sys.executable, "-c", LAPACK_THREADS]
-    assert subprocess.check_output(command, env=environment, text=True, timeout=60).split()
+    assert python("-c", LAPACK_THREADS, environment=settings, check=True).stdout.split()
 
 
 def test_a_floor_alone_is_exact():

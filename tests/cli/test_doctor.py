@@ -3,7 +3,6 @@
 import ctypes
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from sonar_gl.raster.opengl import draw_list
 from sonar_gl.simulator import Simulator
 from tests.support import command_line
 from tests.support.command_line import BODY, BOX, SENSOR, WALL
+from tests.support.processes import HOME, python
 
 pytestmark = pytest.mark.timeout(600)  # the first test of all may have to compile everything
 
@@ -81,14 +81,8 @@ def test_missing_package_has_its_cure(monkeypatch):
 def test_process_without_a_package(tmp_path):
     """The report is complete, though nothing of the simulator can be imported."""
     (tmp_path / "trimesh.py").write_text("raise ImportError('no trimesh here')")
-    home = str(Path(sonar_gl.__file__).parent.parent)
-    done = subprocess.run(
-        [sys.executable, "-m", "sonar_gl", "doctor"],
-        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{home}"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    before_ours = {"PYTHONPATH": f"{tmp_path}{os.pathsep}{HOME}"}
+    done = python("-m", "sonar_gl", "doctor", environment=before_ours)
     assert (done.returncode, done.stderr) == (1, "")
     lines = [" ".join(line.split()) for line in done.stdout.splitlines()]
     at = lines.index("FAIL trimesh cannot be imported (no trimesh here)")
@@ -245,15 +239,8 @@ uncounted = [f for f in functions.values() if f.targetoptions.get("_nrt") is Fal
 returned = [str(one.signature.return_type) for f in uncounted for one in f.overloads.values()]
 print(len(returned) > 10, *(one for one in returned if "rray" in one))
 """
-    home = str(Path(sonar_gl.__file__).parent.parent)
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": home, "NUMBA_CACHE_DIR": str(tmp_path), "SONAR_GL_ENGINE": "cpu"},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=590,
-    )
+    nothing_kept = {"NUMBA_CACHE_DIR": str(tmp_path), "SONAR_GL_ENGINE": "cpu"}
+    done = python("-c", code, environment=nothing_kept, check=True, timeout=590)
     (n_functions, n_compiled, has_reports, *left), uncounted = map(str.split, done.stdout.splitlines())
     assert left == [] and uncounted == ["True"]
     only_opengl = len(re.findall("^@compiled$", Path(draw_list.__file__).read_text(), re.MULTILINE))
@@ -595,3 +582,13 @@ def test_a_report_that_cannot_be_written_is_told_before_the_work(tmp_path, monke
         os.symlink(f"/proc/self/fd/{file.fileno()}", "output")
         assert command_line.run("doctor", "--report", path) == (2, "", f"error: {message}\n")
     assert sorted(os.listdir()) == ["folder", "open.txt", "output", "pipe"]
+
+
+def test_places_far_from_the_origin_are_told_to_a_decimetre(tmp_path):
+    """As in UTM, where four digits are kilometres."""
+    box = trimesh.creation.box((2, 2, 2))
+    box.apply_translation((500000, 6000000.25, -20))
+    box.export(tmp_path / "box.obj")
+    _, out, _ = run("--scene", tmp_path / "box.obj")
+    assert "extent    2 x 2 x 2 m, from 499999 5999999.2 -21 to 500001 6000001.2 -19\n" in out
+    assert "box   2 x 2 x 2 m  500000 6000000.2 -20 " in out

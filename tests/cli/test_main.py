@@ -28,6 +28,7 @@ from sonar_gl.gl import context as gl
 from sonar_gl.imaging import files as export
 from sonar_gl.scene.materials import materials
 from tests.support.command_line import BODY, BOX, SENSOR, SONAR, WALL, run
+from tests.support.processes import HOME, python
 
 SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
 PRESET_NOTE = "sonar: preset p900-45, as the scene states none\n"
@@ -70,14 +71,7 @@ def ping(name="tank.npz"):
 
 def process(*arguments, **environment):
     """A real process; its surroundings are ours and `environment`."""
-    home = str(Path(sg.__file__).parent.parent)
-    return subprocess.run(
-        [sys.executable, "-m", "sonar_gl", *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": home, **environment},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    return python("-m", "sonar_gl", *arguments, environment=environment)
 
 
 # --- what is written
@@ -545,7 +539,7 @@ def examples():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("line", [line for line in examples() if line != "doctor"])
-def test_examples_of_the_help_show_something(line, monkeypatch):
+def test_examples_of_the_help_show_something(line):
     """Nearly empty pictures would warn."""
     x, y, z, *angles = pose_numbers(sg.load_scene("pylon").sonar_pose)
     rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]
@@ -591,14 +585,7 @@ for name in main.commands:
     main([name, "--help"], standalone_mode=False)
 print("loaded", *(name for name in {HEAVY} if name in sys.modules))
 """
-    home = str(Path(sg.__file__).parent.parent)
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": home},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("-c", code, check=True)
     assert done.stdout.splitlines()[-1] == "loaded"
 
 
@@ -610,27 +597,13 @@ for name in ("scenes", "sonars", "materials"):
     main([name], standalone_mode=False)
 print("loaded", *(name for name in ("numba", "moderngl", "cv2", "trimesh") if name in sys.modules))
 """
-    home = str(Path(sg.__file__).parent.parent)
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": home},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("-c", code, check=True)
     assert done.stdout.splitlines()[-1] == "loaded"
 
 
 def test_import_is_quick_for_it_loads_no_library():
     code = f"import sys, sonar_gl; print(*[name for name in {[*HEAVY, 'click']} if name in sys.modules])"
-    home = str(Path(sg.__file__).parent.parent)
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": home},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("-c", code, check=True)
     assert done.stdout.split() == []
 
 
@@ -644,10 +617,7 @@ import scipy.linalg.cython_blas
 from numba.np.linalg import ensure_blas
 ensure_blas()
 """
-    home = str(Path(sg.__file__).parent.parent)
-    done = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": home}, capture_output=True, text=True
-    )
+    done = python("-c", code)
     assert (done.returncode, done.stdout) == (0, "False True\n"), done.stderr
 
 
@@ -712,15 +682,7 @@ def test_a_working_directory_that_is_gone_is_named(folder):
 
 def test_an_output_that_takes_nothing_is_named():
     with open("/dev/full", "w") as full:
-        ran = subprocess.run(
-            [sys.executable, "-m", "sonar_gl", "sonars"],
-            env={**os.environ, "PYTHONPATH": str(Path(sg.__file__).parent.parent)},
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        ran = python("-m", "sonar_gl", "sonars", capture_output=False, stdout=full, stderr=subprocess.PIPE)
     message = "error: the standard output must be writable (got no space left on device)\n"
     assert (ran.returncode, ran.stderr) == (2, message)
 
@@ -907,6 +869,7 @@ def test_options_that_do_not_go_together():
 
 
 HEADER = "t,x,y,z,roll,pitch,yaw"
+OR_QUATERNIONS = ", or qx,qy,qz,qw in place of the angles"
 
 
 @pytest.mark.parametrize(
@@ -916,17 +879,17 @@ HEADER = "t,x,y,z,roll,pitch,yaw"
         (HEADER, f"p.csv: must hold at least one pose, under the header {HEADER} (got none)"),
         (
             "t,x,y,z,roll,pitch\n0,0,0,0,0,0\n",
-            f"p.csv: line 1: column yaw is not there; the first line must name the columns {HEADER} "
+            f"p.csv: line 1: column yaw is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
             "(got 't,x,y,z,roll,pitch')",
         ),
         (
             "t,x,x,y,z,roll,pitch,yaw\n",
-            f"p.csv: line 1: column x is more than once; the first line must name the columns {HEADER} "
+            f"p.csv: line 1: column x is more than once; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
             "(got 't,x,x,y,z,roll,pitch,yaw')",
         ),
         (
             "0,0,0,0,0,0,0\n",
-            f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER} "
+            f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
             "(got '0,0,0,0,0,0,0')",
         ),
         (
@@ -940,6 +903,15 @@ HEADER = "t,x,y,z,roll,pitch,yaw"
             f"{HEADER}\n0,0,0,0,0,0,90\n",
             "p.csv: line 2: pose angles must be radians, within ±2π or unwrapped, in steps of less than π from line "
             "to line (got roll pitch yaw = 0 0 90; if these are degrees, multiply by π/180)",
+        ),
+        (
+            "t,x,y,z,qx,qy,qz,roll\n",
+            "p.csv: line 1: column qw is not there; the first line must name the columns t,x,y,z,qx,qy,qz,qw "
+            "(got 't,x,y,z,qx,qy,qz,roll')",
+        ),
+        (
+            "t,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n1,0,0,0,0,0,90,0\n",
+            "p.csv: line 3: qx qy qz qw must be a unit quaternion (got 0 0 90 0, of length 90)",
         ),
     ],
 )
@@ -1064,9 +1036,7 @@ def test_process_with_too_old_an_opengl():
 
 def test_process_without_a_package():
     Path("numpy.py").write_text("raise ImportError('no numpy here')")
-    done = process(
-        "render", "tank.sdf", PYTHONPATH=f"{Path.cwd()}{os.pathsep}{Path(sg.__file__).parent.parent}"
-    )
+    done = process("render", "tank.sdf", PYTHONPATH=f"{Path.cwd()}{os.pathsep}{HOME}")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "error: no numpy here; 'sonar-gl doctor' says what is missing\n"
 

@@ -57,7 +57,7 @@ def test_commands_print_names_with_escape_sequences(arguments):
     assert not OBEYED.search(out + err)
 
 
-def test_json_holds_the_name_itself(tmp_path):
+def test_json_holds_the_name_itself():
     _, out, _ = command_line.run("plan", "evil.sdf", *QUICK, "--json")
     assert not OBEYED.search(out)
     assert json.loads(out)["worst_body"] in (EVIL, "box", "")

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sonar_gl.core import poses as module
 from sonar_gl.core.errors import Error
@@ -62,6 +63,29 @@ def test_numbers_are_those_of_the_file(read, monkeypatch, cell, ending):
     times_s, poses = read(*lines, ending=ending)
     np.testing.assert_array_equal(times_s, rows[:, 0])
     np.testing.assert_array_equal(poses, [pose(*row[1:]) for row in rows])
+
+
+@pytest.mark.parametrize("cell", [repr, lambda x: f'"{x!r}"'], ids=["plain", "quotes"])
+def test_quaternions_are_the_same_rotations(read, cell):
+    rows = random_rows(60)
+    rows[:20, 5] = np.pi / 2  # straight down, where roll and yaw have the same axis
+    wanted = np.array([pose(*row[1:]) for row in rows])
+    quaternions = Rotation.from_matrix(wanted[:, :3, :3]).as_quat()
+    quaternions[::2] *= -1
+    quaternions[::3] *= 1.009  # rounded
+    table = np.column_stack([rows[:, :4], quaternions])[:, [7, 0, 1, 2, 3, 4, 5, 6]]
+    lines = [",".join(map(cell, row)) for row in table.tolist()]
+    times_s, poses = read(*lines, header="qw,t,x,y,z,qx,qy,qz")
+    np.testing.assert_array_equal(times_s, rows[:, 0])
+    np.testing.assert_array_equal(poses[:, :3, 3], rows[:, 1:4])
+    np.testing.assert_allclose(poses, wanted, rtol=0, atol=2e-15)
+    for one in poses:
+        check_pose(one)
+
+
+def test_angles_count_where_a_file_has_both(read):
+    _, (one,) = read("0,1,2,3,0,0,0.5,9,9,9,9", header=f"{HEADER},qx,qy,qz,qw")
+    np.testing.assert_array_equal(one, pose(1, 2, 3, yaw=0.5))
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,7 @@
 import copy
 import gc
 import math
-import os
 import pickle
-import signal
 import threading
 import time
 import warnings
@@ -27,6 +25,7 @@ from sonar_gl.sonar.samples import SectorSamples
 from tests.support import soak
 from tests.support.casting import Cast, box, cylinder, plane, sphere
 from tests.support.closed_forms import box_beams, cylinder_echo, plane_echo
+from tests.support.forks import in_fork
 from tests.support.main_lobe import main_lobe_alone
 
 IDEAL = sg.Acoustics.ideal()
@@ -127,6 +126,7 @@ def sector_camera(sector):
 
 
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical(pulse=True)])
+@pytest.mark.usefixtures("no_boxes")
 def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoustics):
     sonar, sampling, pose = sonar_of(), sg.Sampling(3, 100), sg.pose(0.3, 0.1, 0.2, 0.05, 0.1, 0.1)
     scene = room()
@@ -755,9 +755,16 @@ def test_a_forked_process_may_ping():
     camera = camera_of(sonar)
     depth = np.full((camera.height, camera.width), 5.0)
     parent_intensity = sg.ping_from_depth(depth, sonar, camera, IDEAL).intensity
+
+    def pings_alike():
+        ping = sg.ping_from_depth(depth, sonar, camera, IDEAL)
+        assert np.array_equal(ping.intensity, parent_intensity)
+
     with embed.Sensor(sonar, IDEAL) as sensor:
-        reply = ping_in_fork(parent_intensity, depth, camera, sensor)
-    assert reply == "same, a Sensor must be used in the process that made it; make one in each process"
+        sensor.ping_from_depth(depth, camera)
+        replies = in_fork(pings_alike, lambda: sensor.ping_from_depth(depth, camera))
+    refused = "a Sensor must be used in the process that made it; make one in each process"
+    assert replies == ["done", refused]
 
 
 @pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
@@ -767,32 +774,6 @@ def test_a_sensor_refuses_to_be_copied(take):
         pytest.raises(sg.Error, match="a Sensor cannot be copied"),
     ):
         take(sensor)
-
-
-def ping_in_fork(parent_intensity, depth, camera, sensor):
-    """Return what a forked process reports of a ping of its own, and of one by a sensor that it inherited."""
-    sensor.ping_from_depth(depth, camera)
-    reading, writing = os.pipe()
-    with warnings.catch_warnings():
-        # since Python 3.12 a fork of a process with threads warns
-        warnings.simplefilter("ignore", DeprecationWarning)
-        child = os.fork()
-    if child == 0:
-        signal.alarm(60)
-        reply = "same, "
-        try:
-            ping = sg.ping_from_depth(depth, sensor.sonar, camera, IDEAL)
-            reply = reply if np.array_equal(ping.intensity, parent_intensity) else "other, "
-            sensor.ping_from_depth(depth, camera)
-        except sg.Error as why:
-            reply += str(why)
-        os.write(writing, reply.encode())
-        os._exit(0)
-    os.close(writing)
-    with os.fdopen(reading) as pipe:
-        reply = pipe.read()
-    os.waitpid(child, 0)
-    return reply
 
 
 @pytest.mark.slow

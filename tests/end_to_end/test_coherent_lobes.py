@@ -105,7 +105,7 @@ def test_sequences_and_batches_give_the_same_bytes(noise, sampling):
         assert one.coherent is None
 
 
-def peak_levels_db(noise, scene, quiet=None) -> tuple[np.ndarray, float]:
+def peak_levels_db(noise, scene) -> tuple[np.ndarray, float]:
     """Return (PINGS,) levels of the bin that is brightest without noise, and the diffuse part of its echo."""
     with sg.Simulator(scene, SONAR, sampling=SAMPLING) as simulator:
         whole = make_ping(simulator.run, PingRequest(sg.pose(), noise_parts=True))

@@ -76,7 +76,7 @@ def test_without_that_limit_single_pings_stall(monkeypatch):
     assert worst_of(swim(monkeypatch)[0][1:]) > 5
 
 
-def test_an_estimate_within_the_tolerance_was_made_with_the_samples_of_the_ping(monkeypatch):
+def test_an_estimate_within_the_tolerance_was_made_with_the_samples_of_the_ping():
     """Samples that became finer carry the estimate of the coarser ones, until they are checked themselves."""
     with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
         for pose in poses():

@@ -268,13 +268,15 @@ def test_pings_that_cannot_be_written_once_the_recording_is_stopped_are_told(ses
     assert str(told).startswith("the recording ended early: cannot write ") and told.endswith("on device")
 
 
-def test_a_recording_that_failed_is_in_the_way_of_no_other(session, monkeypatch):
-    def full(path, frames, fps):
-        next(iter(frames))
-        raise sg.Error("only 1 of 9 frames could be written as MP4 (is the disk full?)")
+def fail_on_full_disk(path, frames, fps):
+    """Take one frame as `save_animation`, and fail as on a full disk."""
+    next(iter(frames))
+    raise sg.Error("only 1 of 9 frames could be written as MP4 (is the disk full?)")
 
+
+def test_a_recording_that_failed_is_in_the_way_of_no_other(session, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr(recording_module, "save_animation", full)
+        patched.setattr(recording_module, "save_animation", fail_on_full_disk)
         session.output.start_recording()
         wait_until(lambda: session.output.problem)
     session.output.start_recording()
@@ -291,11 +293,7 @@ def test_a_picture_takes_no_name_of_another_file(session):
 
 
 def test_a_film_that_cannot_be_written_ends_the_recording(session, monkeypatch):
-    def full(path, frames, fps):
-        next(iter(frames))
-        raise sg.Error("only 1 of 9 frames could be written as MP4 (is the disk full?)")
-
-    monkeypatch.setattr(recording_module, "save_animation", full)
+    monkeypatch.setattr(recording_module, "save_animation", fail_on_full_disk)
     session.output.start_recording()
     wait_until(lambda: not session.output.is_recording)
     with pytest.raises(sg.Error, match="is the disk full"):
@@ -396,7 +394,7 @@ def test_poses_become_a_job_that_batch_takes(session, tmp_path):
     assert f"p900_45 in pylon: {beams} beams x {bins} bins" in done.output
 
 
-def test_a_new_job_does_not_take_poses_of_one_that_was_deleted(session, tmp_path):
+def test_a_new_job_does_not_take_poses_of_one_that_was_deleted(session):
     job = session.output.add_pose_to_job()
     session.output.add_pose_to_job()
     job.unlink()

@@ -251,7 +251,7 @@ def test_simulators_of_old_settings_are_closed(scene):
         made[-1].ping(np.eye(4))
 
 
-def test_an_engine_that_cannot_be_had_leaves_the_simulators(scene, monkeypatch):
+def test_an_engine_that_cannot_be_had_leaves_the_simulators(scene):
     pool = SimulatorPool(scene)
     simulator = pool.simulator(SONAR, QUIET.acoustics, 0.1)
     with pytest.raises(sg.Error, match="engine"):

@@ -2,11 +2,7 @@
 
 import hashlib
 import json
-import os
-import subprocess
-import sys
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +13,7 @@ from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
 from tests.support.errors import error_of
 from tests.support.even_ping import SIGMAS, even_ping
+from tests.support.processes import python
 from tests.support.threads import counting_thread
 
 HERE = sonar_gl.pose(0.2, 0.2)
@@ -131,14 +128,11 @@ def test_same_bytes_for_any_number_of_threads(capsys):
         "amounts = [Noise(speckle=True, follow_motion=locked, ambient_db=-90.0) for locked in (False, True)]; "
         "print(*[hashlib.sha256(add_noise(ping, one, 3).intensity.tobytes()).hexdigest() for one in amounts])"
     )
-    root = str(Path(sonar_gl.__file__).parent.parent)
     with threadpool_limits(1):
         exec(code, {})
     one = capsys.readouterr().out
     settings = {f"{name}_NUM_THREADS": "5" for name in ("OPENBLAS", "OMP", "MKL")}
-    environment = {**os.environ, "PYTHONPATH": root, **settings}
-    command = [sys.executable, "-c", code]
-    assert subprocess.check_output(command, env=environment, text=True, timeout=60) == one != ""
+    assert python("-c", code, environment=settings, check=True).stdout == one != ""
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import pytest
 
 from sonar_gl.core.errors import Error
-from sonar_gl.noise.random_streams import STREAMS, check_seed, stream
+from sonar_gl.noise.random_streams import STREAMS, stream
 
 
 def test_stream_numbers_never_change():
@@ -28,7 +28,6 @@ def test_large_seeds_do_not_collide_with_ping_numbers():
 
 
 def test_seeds_are_whole_numbers():
-    assert check_seed(3) == 3
     with pytest.raises(Error) as caught:
-        check_seed(1.5, "random_views: seed")
-    assert str(caught.value) == "random_views: seed must be a whole number, 0 or more (got 1.5)"
+        stream(1.5, 0, "speckle")
+    assert str(caught.value) == "seed must be a whole number, 0 or more (got 1.5)"

@@ -1,7 +1,8 @@
 """Scenes from bundled names, files, and objects of trimesh and pyrender."""
 
+import copy
 import importlib.metadata
-import os
+import pickle
 import subprocess
 import sys
 import warnings
@@ -21,6 +22,7 @@ from sonar_gl.scene import load
 from sonar_gl.scene.load import bundled_scenes, load_scene, scene_description
 from sonar_gl.scene.pyrender_scene import import_pyrender
 from sonar_gl.scene.scene import Scene
+from tests.support.processes import python
 
 ENDINGS = ".sdf .world .urdf .xacro .xml .mjcf .glb .gltf .obj .stl .ply .dae"
 SDF = (
@@ -169,6 +171,18 @@ def test_only_gltf_is_turned_to_z_up(tmp_path, suffix, extents):
     centre = (0, 0, 10) if suffix == "stl" else (0, -10, 0)
     np.testing.assert_allclose(body.mesh.bounds.mean(axis=0), centre, atol=1e-6)
     assert body.mesh.volume == pytest.approx(6, rel=1e-6)
+
+
+def test_a_missing_file_of_another_case_or_with_a_slip_is_suggested(tmp_path):
+    for name in ("Harbour wall.OBJ", "b.sdf", "notes.txt"):
+        (tmp_path / name).touch()
+    for name, hint in (
+        ("harbour wall.obj", "did you mean 'Harbour wall.OBJ'?"),
+        ("notes.sdf", "bundled scenes are named without an ending"),
+    ):
+        with pytest.raises(Error) as caught:
+            load_scene(tmp_path / name)
+        assert str(caught.value) == f"{tmp_path / name}: there is no such file ({hint})"
 
 
 @pytest.mark.parametrize("suffix", ["glb", "obj", "stl"])
@@ -330,14 +344,7 @@ def test_importing_the_loader_imports_no_slow_package():
         "import sys; import sonar_gl.scene.load; "
         "print([m for m in ('trimesh', 'cv2', 'pyrender', 'OpenGL', 'scipy') if m in sys.modules])"
     )
-    root = str(Path(sg.__file__).parents[1])
-    out = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONPATH": root},
-    )
+    out = python("-c", code, check=True)
     assert out.stdout.strip() == "[]"
 
 
@@ -388,6 +395,12 @@ def test_bodies_are_left_out_by_name():
     assert names(scene.without("wall", "bubbles", "boat_?")) == []
     assert names(scene.without()) == names(scene)
     assert names(scene.only("boat_2", "b*s")) == ["boat_2", "bubbles"]
+    other = scene.with_bodies(iter([far]))
+    assert other.bodies == (far,) and other.plumes == (plume,) and other.surface_z_m == 3.0
+    with pytest.raises(Error, match=r"as in scene.with_bodies\(\[body\]\)"):
+        scene.with_bodies(far)
+    with pytest.raises(Error, match=r"each of the bodies must be a Body .*; the plumes of the scene stay"):
+        scene.with_bodies([far, plume])
     assert scene.with_surface(-1.0).surface_z_m == -1.0 and scene.with_surface(None).surface_z_m is None
     for leave in (scene.without, scene.only):
         with pytest.raises(Error) as caught:
@@ -429,3 +442,17 @@ def test_textures_that_are_missing_give_no_log(tmp_path, caplog):
     caplog.clear()
     (body,) = load_scene(tmp_path / "a.dae").bodies
     assert len(body.surface.faces) == 1 and caplog.text == ""
+
+
+@pytest.mark.parametrize("name", ["surface_z_m", "sonar_pose", "bodies", "plumes", "models", "bodys"])
+def test_a_scene_is_not_changed(name):
+    """Values that are set later would pass without the checks of the constructor, and simulators would not notice."""
+    scene = Scene([sg.Body("wall", trimesh.creation.box((1, 1, 1)))], pose(x=1), surface_z_m=0.0)
+    before = dict(vars(scene))
+    with pytest.raises(
+        Error, match=rf"a Scene must not be changed \(got a new value of '{name}'; with_bodies, "
+    ):
+        setattr(scene, name, None)
+    assert vars(scene) == before
+    for again in (copy.copy(scene), copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
+        assert (again.name, again.surface_z_m, again.bodies[0].name) == ("scene", 0.0, "wall")

@@ -1,10 +1,12 @@
 """Reflection coefficients against published numbers; materials by name."""
 
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
+import trimesh
 
+import sonar_gl as sg
 from sonar_gl.acoustics.boundary import coherent_loss, rayleigh_reflection, sediment_backscattering
 from sonar_gl.core.errors import Error
 from sonar_gl.scene.materials import Material, material, materials
@@ -153,3 +155,19 @@ def test_names_ignore_case_and_hyphens_and_materials_are_frozen():
 def test_unknown_materials_are_refused(name, words):
     with pytest.raises(Error, match=words):
         material(name)
+
+
+def test_a_material_sets_what_a_body_leaves_out():
+    box = trimesh.creation.box((1, 1, 1))
+    whole, steel = sg.Body("plate", box, reflectivity="steel"), material("steel")
+    for body in (whole, sg.Body("plate", box, material="steel")):
+        got = body.material, body.reflectivity, body.specular, body.roughness_rad
+        assert got == ("steel", steel.reflectivity, steel.specular, steel.roughness_rad)
+    rusty = sg.Body("plate", box, material="steel", reflectivity=0.3, roughness_rad=0.2)
+    assert (rusty.reflectivity, rusty.specular, rusty.roughness_rad) == (0.3, steel.specular, 0.2)
+    smooth = replace(whole, specular=0.0)
+    assert (smooth.reflectivity, smooth.specular) == (steel.reflectivity, 0.0)
+    plain = sg.Body("plate", box)
+    assert (plain.reflectivity, plain.specular, plain.roughness_rad, plain.material) == (0.5, 0.0, 0.1, None)
+    with pytest.raises(sg.Error, match=r"body 'plate': reflectivity must have shape .* one for each face"):
+        sg.Body("plate", box, reflectivity=[0.5] * 8)

@@ -343,3 +343,51 @@ def test_obj_files_as_other_programs_write_them(tmp_path, text, encoding):
     path.write_bytes(("# mod\xe8le\n" + text).encode(encoding))
     mesh, _ = mesh_files.read_mesh(path)
     assert mesh.vertices[mesh.faces].reshape(-1, 3).tolist() == TWO_TRIANGLES
+
+
+TURNS = np.eye(3), -np.eye(3), [[0, 0, 1], [1, 0, 0], [0, 1, 0]], [[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]]
+NOTCHED = "v -2 -2 0\nv 2 -2 0\nv 2 2 0\nv 0 -1.5 0\nv -2 2 0\n"
+
+
+@pytest.mark.parametrize("matrix", TURNS)
+@pytest.mark.parametrize("face", ["1 2 3 4 5", "5 4 3 2 1", "-4/1 -3/1 -2/1 -1/1 -5/1"])
+def test_concave_polygons_of_obj_files_have_their_own_area(tmp_path, matrix, face):
+    """A fan from the first corner would cover the notch, as an opening in a wall."""
+    points = np.array(NOTCHED.replace("v", "").split(), float).reshape(5, 3) @ np.transpose(matrix)
+    lines = "".join("v {} {} {}\n".format(*point) for point in points)
+    (tmp_path / "a.obj").write_text(f"{lines}vt 0 0\nf {face}\n")
+    mesh, _ = mesh_files.read_mesh(tmp_path / "a.obj")
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    areas = np.cross(b - a, c - a) / 2
+    assert np.linalg.norm(areas, axis=1).sum() == pytest.approx(9)  # 16 - 7 of the notch
+    sense = -1 if face.startswith("5") else 1
+    wanted = sense * np.linalg.det(matrix) * np.asarray(matrix) @ (0, 0, 9)
+    np.testing.assert_allclose(areas.sum(axis=0), wanted, atol=1e-6)
+
+
+def test_convex_polygons_of_obj_files_stay_fans(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 2 0 0\nv 3 1 0\nv 2 2 0\nv 0 2 0\nf 1 2 3 4 5\n")
+    mesh, _ = mesh_files.read_mesh(tmp_path / "a.obj")
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4]]
+
+
+@pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "1/1 0/1 2/1", "-1 -2 -4"])
+def test_obj_files_that_count_from_0_are_refused(tmp_path, face):
+    path = tmp_path / "a.obj"
+    path.write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\nf {face}")
+    assert error_of(mesh_files.read_mesh, path) == (
+        f"{path}: faces of an OBJ file must name vertices that exist, the first of which is 1 (got 'f {face}'; add 1 "
+        "to the numbers of a file that counts from 0)"
+    )
+
+
+def test_groups_of_obj_files_without_objects_are_parts(tmp_path):
+    path, points = tmp_path / "a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    path.write_text(
+        f"g default\n{points}g hull\nusemtl a\nf 1 2 3\ng mast top\nusemtl b\nf 3 2 1\ng hull\nusemtl a\nf 1 3 2\n"
+    )
+    parts = {part.node: len(part.shape.mesh.faces) for part in mesh_files.read_mesh_parts(path)}
+    assert parts == {"hull": 2, "mast top": 1}
+    assert len(mesh_files.read_mesh(path, "Hull").mesh.faces) == 2
+    path.write_text(f"o boat\n{points}g hull\nf 1 2 3\ng mast\nf 3 2 1\n")
+    assert [part.node for part in mesh_files.read_mesh_parts(path)] == ["boat"]

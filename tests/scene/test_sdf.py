@@ -1555,3 +1555,72 @@ def test_extensions_are_found_by_name():
     assert extensions.find_extension(root, "surface") is root[0]
     assert extensions.find_extension(root, "floor") is None
     assert extensions.list_extensions(root) == [root[0]]
+
+
+@pytest.mark.parametrize("scheme", ["", "file://", "model://", "package://parts/"])
+def test_names_of_files_may_be_escaped_as_in_uris(tmp_path, read, message, scheme):
+    folder = tmp_path / "parts" / "my hülle"
+    folder.mkdir(parents=True)
+    trimesh.creation.box((2, 4, 6)).export(folder / "50% box.STL")
+    prefix = scheme if scheme.startswith("package") else f"{scheme}parts/"
+
+    def mesh(name):
+        return model(
+            link(shape=shape(RETRO, geometry=f"<geometry><mesh><uri>{prefix}{name}</uri></mesh></geometry>"))
+        )
+
+    for name in ("my hülle/50% box.STL", "my%20h%C3%BClle/50%25%20box.STL"):
+        np.testing.assert_array_equal(read(mesh(name)).bodies[0].mesh.extents, (2, 4, 6))
+    (tmp_path / "parts" / "%20.stl").write_bytes((folder / "50% box.STL").read_bytes())
+    assert len(read(mesh("%20.stl")).bodies) == 1  # a file that has this very name
+    (tmp_path.parent / "secret.stl").write_bytes((folder / "50% box.STL").read_bytes())
+    if not scheme:
+        got = message(mesh("%2E%2E/%2E%2E/secret.stl"))
+        assert "must stay in the scene's folder and the resource paths" in got
+
+
+@pytest.mark.parametrize(
+    ("geometry", "tag", "hint"),
+    [
+        ("<cylinder><radius>1</radius><lenght>4</lenght></cylinder>", "cylinder/lenght", "length"),
+        ("<sphere><Radius>4</Radius></sphere>", "sphere/Radius", "radius"),
+        ("<box><sizes>1 2 3</sizes></box>", "box/sizes", "size"),
+    ],
+)
+def test_a_size_that_is_misspelt_is_told_of(tmp_path, geometry, tag, hint):
+    """SDF's default takes its place, a body of another size."""
+    path = write(
+        tmp_path / "a.sdf", model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")))
+    )
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: tags that SDF does not know there are left out: world/model[m]/link[link]/collision[c]/"
+        f"geometry/{tag} (did you mean '{hint}'?)"
+    ]
+
+
+def test_other_tags_of_shapes_give_no_warning(read):
+    geometry = "<geometry><box><size>1 2 3</size><sizes>x</sizes><texture/></box></geometry>"
+    assert len(read(model(link(shape=shape(RETRO, geometry=geometry)))).bodies) == 1
+
+
+@pytest.mark.parametrize(
+    ("inside", "told"),
+    [
+        (model(f"<pos>5 0 0 0 0 0</pos>{link()}"), "world/model[m]/pos (did you mean 'pose'?)"),
+        (
+            model(link("<origin>5 0 0 0 0 0</origin>")),
+            "world/model[m]/link[link]/origin (did you mean 'pose'?)",
+        ),
+        (model(SHAPE), "world/model[m]/collision[c] (it must be in a link)"),
+        (SHAPE, "world/collision[c] (it must be in a link)"),
+    ],
+)
+def test_shapes_out_of_links_and_tags_that_mean_a_pose_are_told_of(tmp_path, inside, told):
+    path = write(tmp_path / "a.sdf", inside)
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: tags that SDF does not know there are left out: {told}"
+    ]

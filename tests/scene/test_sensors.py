@@ -156,7 +156,8 @@ def test_a_sensor_that_states_nothing_has_a_pose_alone(read, text):
 @pytest.mark.parametrize(
     ("text", "field", "value", "why"),
     [
-        (scan(angles(-300, 300, 50)), "azimuth_fov_deg", 360.0, "field of view must lie in 0.01 to 360 (got 600); it"),
+        (scan(angles(-300, 300, 50)), "azimuth_fov_deg", 360.0,
+         "field of view must lie in 0.01 to 360 degrees (got 600; tags of a scan or camera hold radians); it is 360"),
         (scan(angles(-9, 9, 99999)), "n_beams", 4096, "number of beams must lie in 1 to 4096 (got 99999); it is 4096"),
         (scan(angles(-9, 9, 50), limits="<min>-1</min>"), "range_min_m", 0.0, "least range must lie in 0 to 100000"),
         (scan(angles(-9, 9, 50), limits="<max>inf</max>"), "range_max_m", 29.9894, "<max> must be a number"),

@@ -409,3 +409,15 @@ def test_the_command_line_renders_a_robot(tmp_path):
         "render", f"{tmp_path}/wall.urdf.xacro x:=a", "--pose", "0 0 0 0 0 0", "--out", tmp_path
     )
     assert status == 2 and re.fullmatch(r"error: .*wall\.urdf\.xacro: .*6 finite numbers.*\n", err)
+
+
+def test_slips_in_arguments_of_xacro_are_told_of(tmp_path):
+    """ROS's own command passes over an argument that the file does not have."""
+    link = "<xacro:arg name='width' default='1'/><link name='l$(arg width)'/>"
+    path = write(tmp_path / "a.xacro", XACRO.format(link))
+    _, texts = load(f"{path} widht:=3")
+    assert texts == [f"{path}: the file has no argument 'widht' (did you mean 'width'?)"]
+    assert load(f"{path} width:=3")[1] == []
+    assert error_message(f"{path} width=3").endswith(
+        "arguments of xacro are given as name:=value, with a colon"
+    )

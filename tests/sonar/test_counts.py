@@ -107,6 +107,14 @@ def test_negative_and_huge_intensities_are_clipped():
             assert law.apply(intensity).tolist() == [[0, law.full_scale, law.full_scale]]
 
 
+@by_law
+def test_what_is_unknown_is_black(law):
+    with np.errstate(all="raise"):
+        share = law.share(np.array([np.nan, 1.0, np.nan], np.float32))
+        assert share.tolist() == law.share(np.array([0.0, 1.0, 0.0], np.float32)).tolist()
+        assert law.counts_of(share)[0] == law.apply(np.full((1, 20), np.nan)).max() == 0
+
+
 def test_an_array_in_any_order():
     intensity = speckle((30, 40), 0.1)
     for law in LAWS:

@@ -159,9 +159,7 @@ class _HalfWorkspace:
         return self._chosen[sector]
 
     def drop_large(self) -> None:
-        self._depth.drop(MAX_KEPT_SAMPLES)
-        self._triangle.drop(MAX_KEPT_SAMPLES)
-        for one in (self._planes, self._bodies, self._normals):
+        for one in (self._depth, self._triangle, self._planes, self._bodies, self._normals):
             one.drop(MAX_KEPT_SAMPLES)
 
 
@@ -215,9 +213,9 @@ class CpuRenderer:
     ):
         self._engine, self._specular = engine, specular
         self._workspace, self._thread = workspace, thread
-        self._far_m = FAR_FACTOR * fan.sonar.range_max_m
-        self._limits = np.array([NEAR_M, self._far_m])
-        self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
+        range_max_m = fan.sonar.range_max_m
+        self._limits = np.array([NEAR_M, FAR_FACTOR * range_max_m])
+        self._sectors = [SectorView(sector, FAR_FACTOR * range_max_m, range_max_m) for sector in fan.sectors]
 
     def render(
         self,

@@ -241,7 +241,7 @@ class OpenGLRenderer:
         workspace: OpenGLWorkspace,
     ):
         context = buffers.context
-        self._context, self._buffers, self._fan, self._specular = context, buffers, fan, specular
+        self._context, self._buffers, self._specular = context, buffers, specular
         self._far_m = FAR_FACTOR * fan.sonar.range_max_m
         self._limit = side_limit(context)
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))

@@ -25,6 +25,12 @@ from sonar_gl.scene.sonar_sensor import SonarSensor
 
 MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
+NO_POSES = (
+    "pos",
+    "Pose",
+    "position",
+    "origin",
+)  # of a model or link: it would stand at the origin without a word
 NOT_READ = "actor", "population", "road"  # in a world
 OTHER_ROOTS = {  # what a file of this root element is, and what to do with it
     "COLLADA": "this is a mesh: name it .dae",
@@ -135,6 +141,9 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
                 f"{path}: {what} in {len(found)} of {len(bodies)} bodies ({names}); "
                 f"their reflectivity is taken as {reflectivity}"
             )
+    if tree.misplaced or reader.misspelt:
+        names = some_names([text.removeprefix(f"{path}: ") for text in (*tree.misplaced, *reader.misspelt)])
+        warn_caller(f"{path}: tags that SDF does not know there are left out: {names}")
     if 0 < max(reader.retros, default=0) <= 1:
         got = some_names([f"{value:g}" for value in sorted(reader.retros)])
         warn_caller(
@@ -239,10 +248,11 @@ class TreeReader:
     Attributes
     ----------
     left_out : kinds and names of what Gazebo shows, and is not read
+    misplaced : what to say of shapes out of links, and of tags that mean a pose and are none
     """
 
     def __init__(self, resources: Resources):
-        self.resources, self.left_out = resources, []
+        self.resources, self.left_out, self.misplaced = resources, [], []
         self._n_models = 0
 
     def fill(self, scope: Scope, element, stack: tuple) -> None:
@@ -257,6 +267,11 @@ class TreeReader:
         for child in element:
             name = (child.get("name") or "").strip()
             location = scope.location_of(f"{child.tag}[{name}]")
+            if child.tag in ("model", "include", "link", "frame") and child.find("pose") is None:
+                wrong = [one.tag for one in child if one.tag in NO_POSES]
+                self.misplaced += [f"{location}/{tag} (did you mean 'pose'?)" for tag in wrong]
+            elif child.tag in ("collision", "visual"):
+                self.misplaced.append(f"{location} (it must be in a link)")
             if child.tag == "model":
                 placement = child.get("placement_frame") or ""
                 frame = Frame(

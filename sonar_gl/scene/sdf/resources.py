@@ -200,16 +200,11 @@ class Resources:
             return self._find_on_fuel(uri, location)
         if scheme not in ("", "package", "file"):
             scheme = "model"  # as for Gazebo, which searches whatever the scheme is, such as models://
-        if scheme in ("model", "package"):
-            rest = rest.lstrip("/")
-        candidates = [base / rest] if scheme == "" or rest.startswith("/") else []
-        if not rest.startswith("/"):
-            candidates += [root / rest for root in self.roots]
-            head, _, tail = rest.partition("/")
-            if scheme == "package" and (package := self.find_package(head)) is not None:
-                candidates.insert(0, package / tail)
-            candidates += [root / tail for root in self.roots if scheme and root.name == head]
-        candidates = list(dict.fromkeys(candidates))
+        # as it stands, and with %20 and the like read, as URIs have them
+        names = dict.fromkeys([rest, unquote(rest)])
+        candidates = list(
+            dict.fromkeys(path for name in names for path in self._candidates(scheme, name, base))
+        )
         try:
             inside = [c for c in candidates if self._is_inside(c)]
             found = next((c for c in inside if c.exists()), None)
@@ -229,6 +224,19 @@ class Resources:
         if found is None and built_in_model(uri) is None:
             self.note_missing(uri, location, inside or outside)
         return found
+
+    def _candidates(self, scheme: str, name: str, base: Path) -> list[Path]:
+        """Return the paths at which a file may be, in order: of a URI scheme://name, or of a path without scheme."""
+        if scheme in ("model", "package"):
+            name = name.lstrip("/")
+        candidates = [base / name] if scheme == "" or name.startswith("/") else []
+        if not name.startswith("/"):
+            candidates += [root / name for root in self.roots]
+            head, _, tail = name.partition("/")
+            if scheme == "package" and (package := self.find_package(head)) is not None:
+                candidates.insert(0, package / tail)
+            candidates += [root / tail for root in self.roots if scheme and root.name == head]
+        return candidates
 
     def find_package(self, name: str) -> Path | None:
         """Return the folder of a ROS package in or below the resource paths, by its own name or its folder's."""

@@ -213,8 +213,10 @@ class _Tags:
                 continue
             out[key] = type(low)(min(max(value, low), high))
             if not low <= value <= high:
+                unit = " degrees" if key.endswith("_deg") else ""
+                hint = "; tags of a scan or camera hold radians" if unit and value > high else ""
                 self.notes.append(
-                    f"{WORDS[key]} must lie in {low:g} to {high:g} (got {value:g}); it is {out[key]:g}"
+                    f"{WORDS[key]} must lie in {low:g} to {high:g}{unit} (got {value:g}{hint}); it is {out[key]:g}"
                 )
         if "azimuth_fov_deg" in out and (middle_deg := found.get("middle_deg", 0.0)):
             if out["azimuth_fov_deg"] / 2 + abs(middle_deg) <= 180:

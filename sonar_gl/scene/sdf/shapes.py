@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.core.checks import check_number
-from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.core.errors import Error, errors_at, similar_names
 from sonar_gl.scene import mesh_files, primitives
 from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
 from sonar_gl.scene.materials import material
@@ -22,6 +22,19 @@ from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sdf.water import is_invisible, is_mark, is_water, surface_z_m
 
 GEOMETRIES = "box, capsule, cone, cylinder, ellipsoid, heightmap, mesh, plane, polyline, sphere"
+# Sizes of the shapes, by which a tag that is misspelt is found: SDF's default would take its place without a word.
+SIZES = {
+    "box": ("size",),
+    "capsule": ("length", "radius"),
+    "cone": ("length", "radius"),
+    "cylinder": ("length", "radius"),
+    "ellipsoid": ("radii",),
+    "heightmap": ("pos", "size"),
+    "mesh": ("scale", "submesh"),
+    "plane": ("normal", "size"),
+    "polyline": ("height", "point"),
+    "sphere": ("radius",),
+}
 MAX_RETRO = 255  # of laser_retro, for which SDF has no limit: what is more reflects all
 MAX_NUMBER = 100_000  # of laser_retro: more is a mistake
 # of a shape, in namespace sonar_gl
@@ -132,11 +145,13 @@ class BodyReader:
     unspecified : name of a body -> names of shapes whose reflectivity the file does not specify, or of the body
     saturated : the same of shapes whose laser_retro is more than MAX_RETRO
     retros : the values of laser_retro that shapes state, and that no image overrides
+    misspelt : what to say of tags of shapes that are none, but similar to one that is absent
     """
 
     def __init__(self, resources: Resources):
         self.resources = resources
         self.unspecified, self.saturated, self.retros = {}, {}, set()
+        self.misspelt: list[str] = []
         self._meshes = {}
 
     def read(self, link: Link, name: str) -> list[Body]:
@@ -220,6 +235,7 @@ class BodyReader:
             return None
         shape = geometry[0]
         location = f"{location}/geometry/{shape.tag}"
+        self._note_misspelt(shape, location)
 
         def get(tag, count=1, default=None, positive=True):
             if default is not None and shape.find(tag) is None:
@@ -270,6 +286,16 @@ class BodyReader:
             )
         mesh = self._meshes[key]
         return None if mesh is None else primitives.transform(mesh, np.diag([*scale, 1.0]))
+
+    def _note_misspelt(self, shape, location: str) -> None:
+        """Note tags of a shape that are similar to a size of it that is absent."""
+        absent = [tag for tag in SIZES.get(shape.tag, ()) if shape.find(tag) is None]
+        for child in shape:
+            known = not isinstance(child.tag, str) or child.tag in SIZES.get(shape.tag, ())
+            hint = "" if known else similar_names(child.tag, absent)
+            text = f"{location}/{child.tag} ({hint})"
+            if hint and text not in self.misspelt:  # a shape of water is read for its surface, too
+                self.misspelt.append(text)
 
     def _read_file(self, location: str, read: Callable[[], Shape]) -> Shape | None:
         """Return the shape of a file that is there; None if it cannot be read, which `resources` notes."""

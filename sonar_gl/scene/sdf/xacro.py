@@ -15,7 +15,8 @@ from importlib.util import find_spec, module_from_spec
 from pathlib import Path
 from xml.parsers.expat import ExpatError
 
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, nearest_of_many
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING, Resources
 from sonar_gl.scene.sdf.xml_lines import line_of, parse_with_lines
 
@@ -95,6 +96,18 @@ def _location_of(why: Exception, path: Path) -> str:
     return f"{path}: {'' if file == str(path) else f'{file}: '}line {line}, <{tag}>"
 
 
+class _Arguments(dict):
+    """The arguments of an expansion, which note the names that files ask for, by `<xacro:arg>` and `$(arg)`."""
+
+    def __init__(self, given: dict[str, str]):
+        super().__init__(given)
+        self.asked = set()
+
+    def __contains__(self, name) -> bool:
+        self.asked.add(name)
+        return super().__contains__(name)
+
+
 class _Expansion:
     """The expansion of one file, by a copy of the library's module of its own: the module holds state."""
 
@@ -115,7 +128,8 @@ class _Expansion:
         self.xacro.parse = self._parse
         for name in ("message", "warning", "error", "print_location"):
             setattr(self.xacro, name, _silent(name))
-        self.arguments = dict(arguments)
+        self.arguments = _Arguments(arguments)
+        self._given = set(arguments)
 
     def xml(self) -> bytes:
         """Return the expanded XML."""
@@ -127,6 +141,9 @@ class _Expansion:
         for name in REFUSED_BUILTINS:
             del self.symbols["python"][name]
         library.eval_all(document.documentElement, library.Table(), library.Table(self.symbols))
+        known = self.arguments.asked
+        for name in sorted(self._given - known):
+            warn_caller(f"{self.path}: the file has no argument {name!r} ({nearest_of_many(name, known)})")
         return document.toxml("utf-8")
 
     def _parse(self, _, name: str):

@@ -227,7 +227,7 @@ def test_settings_that_no_ping_can_be_made_with_are_refused(client, monkeypatch)
     assert client.transmitAngle(7).angle == 7
 
 
-def test_a_scan_that_the_machine_fails_ends_the_device(monkeypatch):
+def test_a_scan_that_the_machine_fails_ends_the_device():
     """As a single ping does: nothing comes of those that follow."""
 
     class LostHead:
