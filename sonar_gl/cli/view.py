@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from urllib.parse import urlsplit
 
 from sonar_gl.acoustics.acoustics import Acoustics
@@ -39,7 +40,8 @@ def view(scene_name: str, options) -> None:
     check_output(options)
     session = session_from(scene_name, options)
     warn_of_host(options.host)
-    with LiveView(session, options.host, options.port) as opened:
+    # around all that follows the address: Ctrl-C may come before `wait` has begun
+    with LiveView(session, options.host, options.port) as opened, suppress(KeyboardInterrupt):
         is_other = options.port not in (0, urlsplit(opened.url).port)
         why = f", since another program has port {options.port}" if is_other else ""
         echo(f"the page is at {opened.url}{why}; Ctrl-C ends it", err=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -56,6 +57,27 @@ def draw_axes(
         counts = DEFAULT_COUNTS if ping.sonar is None else ping.sonar.counts
     bar = None if colormap is None else _Bar(colormap, law, counts.gain_percentile is not None)
     return _Axes(fan).draw(picture, _title(ping, fan, law, colormap), bar)
+
+
+class FanTicks(NamedTuple):
+    """Round numbers at which a fan has lines: ranges of arcs, metres, and azimuths of spokes, degrees."""
+
+    arcs_m: np.ndarray
+    spokes_deg: np.ndarray
+
+
+def fan_ticks(fan: FanGeometry, spoke_pixels: float) -> FanTicks:
+    """Return at most seven arcs, and as many spokes, at most eight or so, as have this room along the outer arc."""
+    (low, high), (inner_m, outer_m) = fan.azimuth_edges_rad, fan.range_edges_m
+    parts = min(8.0, (high - low) * outer_m * fan.pixels_per_m / spoke_pixels)
+    step_deg = _tick_step(math.degrees(high - low), parts, SPOKE_STEPS_DEG)
+    first, last = (math.degrees(edge) / step_deg for edge in (low, high))
+    spokes_deg = np.arange(math.ceil(first - 1e-6), math.floor(last + 1e-6) + 1) * step_deg
+    if fan.full_circle and spokes_deg[-1] - spokes_deg[0] > 360 - 1e-6:  # −180° is +180°
+        spokes_deg = spokes_deg[1:]
+    step_m = _tick_step(outer_m, 7, ARC_STEPS_M)
+    arcs = np.arange(max(1, math.ceil(inner_m / step_m)), math.floor(outer_m / step_m + 1e-6) + 1)
+    return FanTicks(arcs * step_m, spokes_deg)
 
 
 def _title(ping: Ping, fan: FanGeometry, law: Counts, colormap: str | None) -> str:
@@ -110,7 +132,8 @@ class _Axes:
         self.fan = fan
         self.font_size = float(np.clip(fan.height / 1500, 0.35, 1.2))  # letters are 22 pixels high at 1
         self.margin = round(120 * self.font_size)
-        self.arcs_m, self.spokes_deg = self._ticks()
+        # as many spokes as have room for their labels
+        self.arcs_m, self.spokes_deg = fan_ticks(fan, 100 * self.font_size)
 
     def draw(self, picture: np.ndarray, title: str, bar: _Bar | None) -> np.ndarray:
         """Return the picture with a margin, lines and labels, and with a bar, if there is one."""
@@ -149,23 +172,6 @@ class _Axes:
         self._write_from(canvas, "port", edge, row)
         (starboard, _), _ = cv2.getTextSize("starboard", FONT, self.font_size, 1)
         self._write_from(canvas, "starboard", self.fan.width + 2 * self.margin - edge - starboard, row)
-
-    def _ticks(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return ranges of arcs, metres, and azimuths of spokes, degrees."""
-        fan, ((low, high), (inner_m, outer_m)) = (
-            self.fan,
-            (self.fan.azimuth_edges_rad, self.fan.range_edges_m),
-        )
-        # as many spokes as have room for their labels
-        parts = min(8.0, (high - low) * outer_m * fan.pixels_per_m / (100 * self.font_size))
-        step_deg = _tick_step(math.degrees(high - low), parts, SPOKE_STEPS_DEG)
-        first, last = (math.degrees(edge) / step_deg for edge in (low, high))
-        spokes_deg = np.arange(math.ceil(first - 1e-6), math.floor(last + 1e-6) + 1) * step_deg
-        if fan.full_circle and spokes_deg[-1] - spokes_deg[0] > 360 - 1e-6:  # −180° is +180°
-            spokes_deg = spokes_deg[1:]
-        step_m = _tick_step(outer_m, 7, ARC_STEPS_M)
-        arcs = np.arange(max(1, math.ceil(inner_m / step_m)), math.floor(outer_m / step_m + 1e-6) + 1)
-        return arcs * step_m, spokes_deg
 
     def _position(self, azimuth_rad, range_m, beyond: float = 0.0) -> np.ndarray:
         """Return the position of azimuth and range, moved outwards by `beyond` pixels."""

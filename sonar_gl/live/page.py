@@ -88,7 +88,7 @@ class ViewerPage:
         self._nodes = SceneNodes(server, session, self._actions, self._select)
         self._ping_panel = PingPanel(server, session, self._actions, self._select)
         self._controls = ControlPanel(
-            server, session, self._actions, self._move_by, self._select, self._lay_picture
+            server, session, self._actions, self._move_by, self._select, self._lay_picture, self._lay_marks
         )
         self._connect_browsers()
 
@@ -220,6 +220,9 @@ class ViewerPage:
 
     def _lay_picture(self, visible) -> None:
         self._nodes.shows_picture = bool(visible)
+
+    def _lay_marks(self, visible) -> None:
+        self._ping_panel.shows_marks = bool(visible)
 
     def _click(self, place: tuple[float, float]) -> None:
         """Mark the surface whose echo a place of the picture shows."""

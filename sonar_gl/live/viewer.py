@@ -170,7 +170,7 @@ def view(
     warn_of_host(host)
     opened = LiveView(LiveSession(scene, wanted, pose, track, folder, source), host, port, on_ping)
     if block:
-        with opened:
+        with opened, suppress(KeyboardInterrupt):  # which may come before `wait` has begun
             print(f"the page is at {opened.url}; Ctrl-C ends it")
             opened.wait()
     return opened

@@ -148,7 +148,7 @@ def control(tab, label):
 
 def read_out(tab):
     """What stands under the picture."""
-    return tab.get_by_text("under pointer").locator("xpath=../..").inner_text()
+    return tab.get_by_text("under pointer").locator("xpath=../../..").inner_text()
 
 
 def place_of(viewer, body):
@@ -222,6 +222,113 @@ def choose(tab, label, option):
     """Choose an option of a dropdown."""
     control(tab, label).click()
     tab.get_by_role("option", name=option, exact=True).click()
+
+
+@pytest.mark.parametrize("typed", ["", "-"])
+def test_a_number_that_is_emptied_comes_back_and_changes_nothing(viewer, typed):
+    before, field = viewer.session.settings, control(viewer.tab, "range, m")
+    shown = field.input_value()
+    field.fill(typed)
+    assert field.input_value() == typed
+    viewer.tab.evaluate("document.activeElement.blur()")
+    wait_for(lambda: field.input_value() == shown)
+    wait_until_drawn(viewer.tab)
+    assert viewer.session.settings == before and field.input_value() == shown
+
+
+def box_of(tab, selector):
+    """The box of an element, as (left, top, right, bottom)."""
+    return tab.evaluate(
+        """(selector) => {
+        const box = document.querySelector(selector).getBoundingClientRect();
+        return [box.left, box.top, box.right, box.bottom];
+        }""",
+        selector,
+    )
+
+
+@pytest.fixture
+def narrow(viewer):
+    """A session whose fan is 15 degrees wide."""
+    session = viewer.session
+    before = session.settings
+    session.change(sonar=replace(before.sonar, azimuth_fov_deg=15.0))
+    wait_for(lambda: session.frame.settings is session.settings)
+    wait_until_drawn(viewer.tab)
+    yield session
+    session.change(sonar=before.sonar)
+    wait_for(lambda: session.frame.settings is session.settings)
+
+
+def test_a_narrow_picture_stands_in_the_middle_of_its_panel(viewer, narrow):
+    left, _, right, _ = box_of(viewer.tab, PICTURE)
+    panel = viewer.tab.locator(PICTURE).first.locator("xpath=..").bounding_box()
+    assert right - left < panel["width"] / 2
+    assert (left + right) / 2 == pytest.approx(panel["x"] + panel["width"] / 2, abs=1.0)  # a pixel
+
+
+def test_marks_lie_over_the_picture_and_can_be_switched_off(viewer, narrow):
+    tab, layer = viewer.tab, f"{PICTURE} + .sonar-marks"
+    wait_for(lambda: box_of(tab, layer) == pytest.approx(box_of(tab, PICTURE), abs=1.0))  # a pixel
+    marks = tab.locator(layer)
+    wait_for(lambda: "20 m" in marks.inner_text())
+    narrow.change(range_m=10.0)
+    wait_for(lambda: "8 m" in marks.inner_text() and "20 m" not in marks.inner_text())
+    narrow.change(range_m=22.0)
+    control(tab, "range marks").click()
+    wait_for(lambda: marks.inner_text() == "")
+    control(tab, "range marks").click()
+    wait_for(lambda: "20 m" in marks.inner_text())
+
+
+@pytest.mark.parametrize("size", [(1024, 640), (853, 533)])  # the second is 1280 x 800 at a zoom of 150 %
+def test_numbers_are_in_sight_in_a_small_window(viewer, size):
+    tab = viewer.tab
+    tab.set_viewport_size({"width": size[0], "height": size[1]})
+    try:
+        wait_for(lambda: box_of(tab, PICTURE)[3] < 0.7 * size[1])
+        last = tab.get_by_text("to look around").bounding_box()
+        assert last["y"] + last["height"] <= size[1]
+    finally:
+        tab.set_viewport_size(SIZE)
+
+
+@pytest.mark.slow
+def test_a_phone_shows_the_picture_before_the_controls(viewer):
+    phone = viewer.browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True)
+    phone.goto(viewer.page.url)
+    phone.wait_for_selector(PICTURE, timeout=1000 * WAIT_S)
+    wait_for(
+        lambda: box_of(phone, PICTURE)[3] <= phone.get_by_text("moved by", exact=True).bounding_box()["y"]
+    )
+    left, top, right, bottom = box_of(phone, PICTURE)
+    phone.touchscreen.tap((left + right) / 2, (top + bottom) / 2)
+    wait_for(lambda: re.search(r"range\s*[\d.]+ m", read_out(phone)))
+    phone.close()
+    viewer.page.marked = None  # by the tap
+
+
+@pytest.mark.slow
+def test_two_browsers_show_and_change_the_same(viewer):
+    first, session = viewer.tab, viewer.session
+    second = viewer.browser.new_page(viewport=SIZE)
+    second.goto(viewer.page.url)
+    second.wait_for_selector(PICTURE, timeout=1000 * WAIT_S)
+    second.wait_for_function("window.sonarView", timeout=1000 * WAIT_S)
+    for tab, other, range_text in ((first, second, "15"), (second, first, "22")):
+        control(tab, "range, m").fill(range_text)
+        tab.evaluate("document.activeElement.blur()")
+        wait_for(lambda: session.settings.range_m == float(range_text))  # noqa: B023
+        wait_for(lambda: control(other, "range, m").input_value() == range_text)  # noqa: B023
+        control(tab, "range marks").click()
+        shows = range_text == "22"
+        wait_for(lambda: control(other, "range marks").is_checked() is shows)  # noqa: B023
+        start = session.pose
+        tab.keyboard.down("w")
+        wait_for(lambda: np.linalg.norm(session.pose[:3, 3] - start[:3, 3]) > 0.3)  # noqa: B023
+        tab.keyboard.up("w")
+        wait_until_still(session)
+    second.close()
 
 
 @pytest.mark.slow

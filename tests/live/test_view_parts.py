@@ -13,16 +13,18 @@ from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import fan_geometry
+from sonar_gl.live.frame import LiveFrame
 from sonar_gl.live.motion import KEYS
-from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined
+from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined, picture_of, pixel_bins
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
 from sonar_gl.live.view.control_panel import chosen
 from sonar_gl.live.view.origin import is_other_site
 from sonar_gl.live.view.outline import PictureSector, fan_arcs, fan_outline
-from sonar_gl.live.view.ping_panel import HELP_HTML
+from sonar_gl.live.view.ping_panel import HELP_HTML, PANEL
 from sonar_gl.live.view.price_table import prices_html
+from sonar_gl.live.view.range_marks import MarkedPicture, marks_html
 from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
 from sonar_gl.live.view.scene_nodes import SONAR_FROM_CAMERA
 from sonar_gl.sonar.sonar import Sonar, presets
@@ -67,6 +69,7 @@ def test_script_and_server_agree_on_names():
     assert all(f"&quot;{key}&quot;" in html for key in KEYS)
     assert "data-keys-move-sonar" in html.split("<img")[0]
     assert "data-keys-move-sonar" not in script_html(False).split("<img")[0]
+    assert f"const PANEL = &quot;{PANEL}&quot;" in html
 
 
 def test_all_keys_are_named_on_the_page():
@@ -175,6 +178,53 @@ def test_no_part_of_a_picture_is_wider_than_45_degrees(fov_deg, count):
     parts = PictureSector.all_of(geometry, 0.2, 100)
     assert len(parts) == count
     assert (parts[0].azimuths_rad[0], parts[-1].azimuths_rad[1]) == pytest.approx(geometry.azimuth_edges_rad)
+
+
+def frame_of(fov_deg, form, height=640):
+    sonar = replace(SONAR, n_beams=max(1, round(fov_deg)), azimuth_fov_deg=fov_deg)
+    settings, ping = LiveSettings(sonar, form=form, height=height), ping_of(sonar)
+    return LiveFrame(0, 0.0, 0.0, np.eye(4), ping, picture_of(ping, settings), settings)
+
+
+@pytest.mark.parametrize("form", ["fan", "polar"])
+@pytest.mark.parametrize("fov_deg", [2.0, 29.0, 130.0, 359.0])
+def test_marks_lie_where_the_picture_shows_their_range_and_azimuth(fov_deg, form):
+    frame = frame_of(fov_deg, form)
+    marked, ping = MarkedPicture.of(frame), frame.ping
+    assert marked.size == frame.picture.shape[1::-1]
+    bins = pixel_bins(ping, frame.settings)
+    for beam in range(0, len(ping.azimuth_rad), 5):
+        for bin_ in range(20, len(ping.range_m), 10):  # a pixel nearer shows several beams
+            right, down = marked.place(ping.azimuth_rad[beam], ping.range_m[bin_])
+            at = min(int(down), frame.picture.shape[0] - 1), min(int(right), frame.picture.shape[1] - 1)
+            if fov_deg > 2.0 or form == "polar":  # pixels are as wide as that one beam
+                assert abs(bins.beam[at] - beam) <= 1, (beam, bin_)
+            assert abs(bins.bin[at] - bin_) <= 1
+
+
+@pytest.mark.parametrize("form", ["fan", "polar"])
+@pytest.mark.parametrize("fov_deg", [2.0, 15.0, 29.0, 45.0, 90.0, 130.0, 200.0, 359.0])
+def test_ranges_are_numbered_and_no_number_covers_another(fov_deg, form):
+    marked = MarkedPicture.of(frame_of(fov_deg, form))
+    width, height = marked.size
+    html = marks_html(marked)
+    texts = re.findall(r'<text x="([-.\d]+)" y="([-.\d]+)">([^<]+)</text>', html)
+    assert [text for _, _, text in texts if text.endswith(" m")] == [f"{n} m" for n in (2, 4, 6, 8, 10)]
+    assert fov_deg < 15.0 or "0°" in [text for _, _, text in texts]
+    letter = float(re.search(r"font-size:([.\d]+)px", html)[1])
+    beside = max(0.0, (0.62 * height - width) / 2)  # room beside the picture of a narrow fan
+    boxes = []
+    for x, y, text in texts:
+        half = 0.3 * letter * len(text)
+        boxes.append((float(x) - half, float(y) - letter / 2, float(x) + half, float(y) + letter / 2))
+        left, top, right, bottom = boxes[-1]
+        assert left >= -beside - 1 and right <= width + beside + 1 and top >= -1 and bottom <= height + 1, (
+            text
+        )
+    for number, one in enumerate(boxes):
+        for other in boxes[:number]:
+            apart = one[0] >= other[2] or other[0] >= one[2] or one[1] >= other[3] or other[1] >= one[3]
+            assert apart, (texts[number], one, other)
 
 
 def test_sonar_looks_where_its_camera_does():

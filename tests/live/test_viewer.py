@@ -1,5 +1,6 @@
 """`sonar_gl.view` and `sonar-gl view`, before a page that stands for the real one."""
 
+import builtins
 import copy
 import os
 import pickle
@@ -14,6 +15,7 @@ from click.testing import CliRunner
 import sonar_gl as sg
 from sonar_gl.cli import main as cli
 from sonar_gl.cli import view as command
+from sonar_gl.cli.output import echo
 from sonar_gl.live import live_sonar, page, viewer
 from sonar_gl.live.session import LiveSession
 from sonar_gl.ping import Ping
@@ -222,6 +224,27 @@ def test_the_command_follows_a_file_of_poses(pages):
     done = run("view", "pylon", "--poses", "dive.csv", "--tolerance", "0.2")
     assert done.exit_code == 0, done.output
     assert pages[0].session.state().duration_s == 2.0
+
+
+def test_ctrl_c_right_after_the_address_ends_the_command_as_later(pages, monkeypatch):
+    def interrupted_echo(text, **more):
+        echo(text, **more)
+        if text.startswith("the page is at"):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "echo", interrupted_echo)
+    done = run("view", "pylon", "--tolerance", "0.2")
+    assert (done.exit_code, "error" in done.output) == (0, False), done.output
+    assert "Ctrl-C ends it" in done.output and pages[0].is_closed
+
+
+def test_ctrl_c_right_after_the_address_ends_a_blocking_view(pages, monkeypatch):
+    def interrupted_print(text):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(builtins, "print", interrupted_print)
+    sg.view("pylon", tolerance=0.2)
+    assert pages[0].is_closed
 
 
 def test_its_command_line_has_the_engine_that_the_user_chose(pages):

@@ -62,6 +62,7 @@ class ControlPanel:
     on_mover : action of (client, one of KEYS, CAMERA and TRAJECTORY) when another one is chosen
     on_body : action of a body's name that was chosen; "" for none
     on_picture : action of whether the picture lies in the scene
+    on_marks : action of whether lines of range and azimuth lie over the picture
     """
 
     def __init__(
@@ -72,6 +73,7 @@ class ControlPanel:
         on_mover: Callable,
         on_body: Callable[[str], None],
         on_picture: Callable[[bool], None],
+        on_marks: Callable[[bool], None],
     ):
         self._gui, self._session, self._actions = server.gui, session, actions
         self._shown: list[tuple] = []  # handles, and what settings have each show
@@ -86,7 +88,7 @@ class ControlPanel:
         self._name_of_sonar(session.scene.sonar or settings.sonar)
         self._add_motion(on_mover)
         self._add_sonar(settings)
-        self._add_display(settings, on_picture)
+        self._add_display(settings, on_picture, on_marks)
         self._add_acoustics(settings)
         self._add_water(settings)
         self._add_bodies(on_body)
@@ -181,7 +183,8 @@ class ControlPanel:
                 "moved by",
                 movers,
                 initial_value=movers[-1] if self._session.track is not None else KEYS,
-                hint="The browser's camera is flown by the same keys and the mouse, and carries the sonar.",
+                hint="A camera is flown by the same keys and the mouse, and carries the sonar: that of the browser "
+                "in which this is chosen.",
             )
             self._add_number(
                 NumberScale("speed, m/s", 0.1, 10.0, 0.1, 1),
@@ -201,7 +204,12 @@ class ControlPanel:
         gui, session = self._gui, self._session
         with gui.add_folder("Sonar"):
             shown = self._name_of_sonar(settings.sonar)
-            sonar = gui.add_dropdown("sonar", tuple(self._sonars), initial_value=shown)
+            sonar = gui.add_dropdown(
+                "sonar",
+                tuple(self._sonars),
+                initial_value=shown,
+                hint="'sonar-gl sonars' lists what each is.",
+            )
             scale = RangeScale.of(settings)
             self._range = gui.add_slider(
                 "range, m", scale.low_m, scale.high_m, scale.step_m, _shown_range(settings),
@@ -220,7 +228,10 @@ class ControlPanel:
                 lambda rate_hz: session.change(max_rate_hz=rate_hz),
                 "At most.",
             )
-            engine = gui.add_dropdown("engine", ENGINES, initial_value=settings.engine or "auto")
+            engine = gui.add_dropdown(
+                "engine", ENGINES, initial_value=settings.engine or "auto",
+                hint="What makes the pings: opengl, on a graphics card, or cpu; auto takes a card if there is one.",
+            )  # fmt: skip
         self._shown.append((sonar, lambda settings: self._shown_sonar(sonar, settings.sonar)))
         self._actions.connect_from(sonar, self._change_sonar)
         self._connect(self._range, _shown_range, lambda value: session.change(range_m=float(value)))
@@ -246,25 +257,34 @@ class ControlPanel:
             dropdown.options = tuple(self._sonars)
         return name
 
-    def _add_display(self, settings: LiveSettings, on_picture) -> None:
+    def _add_display(self, settings: LiveSettings, on_picture, on_marks) -> None:
         gui, session = self._gui, self._session
         colormaps = tuple(dict.fromkeys((*COLORMAPS, settings.colormap)))
         with gui.add_folder("Display"):
-            form = gui.add_dropdown("form", FORMS, initial_value=settings.form)
+            form = gui.add_dropdown(
+                "form", FORMS, initial_value=settings.form,
+                hint="fan: as seen from above. polar: beams side by side, range upwards.",
+            )  # fmt: skip
             colormap = gui.add_dropdown("colours", colormaps, initial_value=settings.colormap)
             own = gui.add_checkbox(
-                "gain of the device", settings.counts is None, hint="The preset's law of counts."
+                "gain of the device", settings.counts is None, hint="As the device sets it; else that below."
             )
             self._add_number(
                 NumberScale("gain, dB", -40.0, 60.0, 1.0, 0),
                 self._gain,
                 lambda gain_db: session.change(gain_db=gain_db),
-                "A change of it ends the gain of the device.",
+                "From echo to brightness. A change ends the gain of the device.",
             )
             picture = gui.add_checkbox(
                 "picture in 3D", True, hint="On the upper face of the fan; none while the form is polar."
             )
+            marks = gui.add_checkbox(
+                "range marks",
+                True,
+                hint="Ranges and azimuths, on the page alone: files lack them.",
+            )
         self._actions.connect(picture, on_picture)
+        self._actions.connect(marks, on_marks)
         self._connect(
             form,
             lambda settings: settings.form,
@@ -293,7 +313,10 @@ class ControlPanel:
     def _add_acoustics(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
         with gui.add_folder("Acoustics and noise", expand_by_default=False):
-            profile = gui.add_dropdown("profile", tuple(PROFILES), initial_value=settings.acoustics.profile)
+            profile = gui.add_dropdown(
+                "profile", tuple(PROFILES), initial_value=settings.acoustics.profile,
+                hint="Sets all terms below; each may be switched by itself after that.",
+            )  # fmt: skip
             noise = gui.add_dropdown("noise", (*PRESETS, OTHER), initial_value=_shown_noise(settings))
             for name in term_names():
                 label = SHORT_LABELS.get(name, name)
@@ -392,9 +415,9 @@ class ControlPanel:
         gui, output = self._gui, self._session.output
         with gui.add_folder("Files"):
             self._record = gui.add_button("Record", hint="NPZ of each ping, an MP4, and the poses as CSV.")
-            picture = gui.add_button("Save picture")
-            line = gui.add_button("Command line")
-            job = gui.add_button("Add pose to job")
+            picture = gui.add_button("Save picture", hint="PNG and NPZ of one ping, made anew.")
+            line = gui.add_button("Command line", hint="Shows the command that makes the same picture.")
+            job = gui.add_button("Add pose to job", hint="One more pose in a job file of 'sonar-gl batch'.")
         connect = self._actions.connect_button
         connect(self._record, self._switch_recording)
         connect(

@@ -1,4 +1,5 @@
-// Reports the pointer over the ping's picture, and the keys that are held, to the server of the page.
+// Reports the pointer over the ping's picture, and the keys that are held, to the server of the page; lays lines of range
+// and azimuth over the picture; and cures what viser's page leaves to be wished for.
 //
 // viser's images have no pointer events, and its keys always fly the camera. This script writes a state as JSON into a
 // text field of the page, which viser sends as if it had been typed. The state is complete each time, since of several
@@ -9,6 +10,7 @@
     KeyW: "w", KeyA: "a", KeyS: "s", KeyD: "d", KeyQ: "q", KeyE: "e",
     ArrowUp: "arrowup", ArrowDown: "arrowdown", ArrowLeft: "arrowleft", ArrowRight: "arrowright",
   };
+  const PANEL = "Ping"; // label of the panel with the picture
   const COPY = "Copy"; // label of the button beside a text
   const TYPES_TEXT = "input:not([type=checkbox]):not([type=radio]), textarea, select, [contenteditable], [role=slider]";
   const POINTER_MS = 50;
@@ -59,18 +61,54 @@
   // the picture is the page's only image that comes in parts of a message; its enlarged copy is another element
   const picture = (target) => (target instanceof HTMLImageElement && target.src.startsWith("blob:") ? target : null);
 
+  // The picture stands in the middle of its panel, however narrow the fan, and leaves room for the numbers below it. On a
+  // phone, where viser stacks the panels in a sheet, it comes before the controls.
+  const STYLE = `
+    img[src^="blob:"] { margin: 0 auto; max-height: max(200px, calc(100vh - 315px)); }
+    [role=dialog] img[src^="blob:"] { max-height: none; }
+    :has(> div > .mantine-Tabs-root > [aria-label$="panel ${PANEL}"]) { display: flex; flex-direction: column; }
+    div:has(> .mantine-Tabs-root > [aria-label$="panel ${PANEL}"]) { order: -1; }
+  `;
+  document.head.append(Object.assign(document.createElement("style"), { textContent: STYLE }));
+
+  // Lines of range and azimuth, which the server sends when they change, lie over the picture and its enlarged copy.
+  const layers = new WeakMap(); // by image
+  const sizes = new ResizeObserver(layMarks);
+
+  function layMarks() {
+    const html = document.querySelector("[data-marks]")?.innerHTML ?? "";
+    for (const image of document.images) {
+      if (picture(image) === null) continue;
+      let layer = layers.get(image);
+      if (!layer?.isConnected) {
+        layer = Object.assign(document.createElement("div"), { className: "sonar-marks" });
+        layer.style.cssText = "position: absolute; pointer-events: none;";
+        image.after(layer);
+        layers.set(image, layer);
+        sizes.observe(image);
+      }
+      if (layer.drawnFrom !== html) layer.innerHTML = layer.drawnFrom = html;
+      for (const [side, of] of [["left", "Left"], ["top", "Top"], ["width", "Width"], ["height", "Height"]]) {
+        layer.style[side] = `${image[`offset${of}`]}px`;
+      }
+    }
+  }
+
   function place(event, image) {
     const box = image.getBoundingClientRect();
     return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
   }
 
-  document.addEventListener("pointermove", (event) => {
+  function point(event) {
     const image = picture(event.target);
     if (image === null && state.pointer === null) return;
     if (image !== null) image.style.cursor = "crosshair";
     state.pointer = image && place(event, image);
     sendSoon();
-  }, true);
+  }
+
+  document.addEventListener("pointermove", point, true);
+  document.addEventListener("pointerdown", point, true); // a finger that taps does not move
 
   document.addEventListener("click", (event) => {
     const image = picture(event.target);
@@ -89,6 +127,16 @@
     text.select(); // else Ctrl-C copies it
     navigator.clipboard?.writeText(text.value);
   }, true);
+
+  // viser's page leaves a field empty that was emptied; it shows the number in force again, that of the slider beside it
+  document.addEventListener("focusout", (event) => {
+    const field = event.target;
+    if (!(field instanceof HTMLInputElement) || Number.isFinite(parseFloat(field.value))) return;
+    const slider = field.closest(".mantine-NumberInput-root")?.parentElement.querySelector("[role=slider]");
+    if (!slider) return;
+    write.call(field, slider.getAttribute("aria-valuenow"));
+    field.dispatchEvent(new Event("input", { bubbles: true }));
+  });
 
   document.addEventListener("dragstart", (event) => {
     if (picture(event.target)) event.preventDefault();
@@ -116,7 +164,10 @@
     send();
   });
 
-  setInterval(send, REPEAT_MS);
+  setInterval(() => {
+    send();
+    layMarks();
+  }, REPEAT_MS);
 
   // Pictures that arrive wait for frames of the scene that are being drawn. Where those take long, as without a graphics
   // card, the server changes the scene less often.

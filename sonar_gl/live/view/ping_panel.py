@@ -13,11 +13,17 @@ from sonar_gl.live.session import LiveSession
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, script_html
 from sonar_gl.live.view.outline import SELECTED_COLOR
+from sonar_gl.live.view.range_marks import MarkedPicture, marks_html
 
 JPEG_QUALITY = 92  # below it, blocks of a JPEG look like speckle
+PANEL = "Ping"  # page.js has the same
 PANEL_WIDTH = 430  # pixels of the page
-ROW = "display:flex;column-gap:0.5em;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
+ROW = "display:flex;flex-wrap:wrap;column-gap:0.5em;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
 FIRST_EM, SECOND_EM = 8, 5  # widths of the names in a row: "roll pitch yaw" is the longest
+VALUE_EM = (
+    10,
+    5,
+)  # widths of values in a row of two: a narrower panel, as on a phone, has the second on a line of its own
 NOTHING = "–"
 UNSELECT = "Unselect"
 SELECTED_NOTE = (
@@ -29,7 +35,8 @@ HELP = (
     ("A D", "port, starboard"),
     ("E Q", "up, down"),
     ("← → ↑ ↓", "turn"),
-    ("click", "at a body in 3D to select it"),
+    ("click", "at a body in 3D to select it, in the picture to mark its surface in 3D"),
+    ("drag", "in 3D to look around"),
 )
 HELP_HTML = '<div style="padding:2px 10px;font-size:12px;line-height:1.5;opacity:.75">{}</div>'.format(
     "; ".join(f"<b>{keys}</b> {what}" for keys, what in HELP)
@@ -46,15 +53,22 @@ class PingPanel:
     session : LiveSession
     actions : Actions
     on_body : action of the name of a body that is selected; "" for none
+
+    Attributes
+    ----------
+    shows_marks : whether lines of range and azimuth lie over the next picture
     """
 
     def __init__(self, server, session: LiveSession, actions: Actions, on_body: Callable[[str], None]):
         self._session, self._actions = session, actions
+        self.shows_marks = True
+        self._marked: MarkedPicture | None = None  # what the lines on show are of
         panel = server.gui.add_panel()
-        with panel.add_tab("Ping"):
+        with panel.add_tab(PANEL):
             self._image = server.gui.add_image(
                 session.frame.picture, format="jpeg", jpeg_quality=JPEG_QUALITY
             )
+            self._marks = server.gui.add_html("")
             self._under = server.gui.add_html("")
             self._clicked = server.gui.add_html("")
             self._selected = server.gui.add_html("")
@@ -68,6 +82,7 @@ class PingPanel:
         actions.connect_button(self._unselect, lambda _: on_body(""))
         panel.dock_left()
         panel.set_width(PANEL_WIDTH)
+        panel.expand()  # on phones it would begin as a line
         self.read(None)
 
     def show(self, frame: LiveFrame) -> None:
@@ -76,6 +91,10 @@ class PingPanel:
         if frame.highlight is not None:
             picture = outlined(picture, frame.highlight, SELECTED_COLOR)
         self._image.image = picture
+        marked = MarkedPicture.of(frame) if self.shows_marks else None
+        if marked != self._marked:
+            self._marks.content = "" if marked is None else marks_html(marked)
+            self._marked = marked
 
     def show_numbers(self, frame: LiveFrame, state: LiveState) -> None:
         """Show the numbers of a frame, and what the session does now, such as that its pings fail."""
@@ -155,11 +174,13 @@ def _rows_html(rows) -> str:
     """
     lines = []
     for row in rows:
-        value_style = "flex:1" if len(row) == 1 else "flex:1;white-space:nowrap"
+        alone = len(row) == 1
+        value_style = "flex:1" if alone else "flex:1;white-space:nowrap"
         cells = "".join(
+            f'<span style="display:flex;column-gap:0.5em;flex:{"1" if alone else f"1 0 {width + value_em}em"}">'
             f'<span style="opacity:.6;width:{width}em;flex-shrink:0">{escape(name)}</span>'
-            f'<span style="{value_style};overflow-wrap:anywhere">{escape(value)}</span>'
-            for name, value, width in row
+            f'<span style="{value_style};overflow-wrap:anywhere">{escape(value)}</span></span>'
+            for (name, value, width), value_em in zip(row, VALUE_EM, strict=False)
         )
         lines.append(f'<div style="{ROW}">{cells}</div>')
     return f'<div style="padding:2px 10px 6px 10px">{"".join(lines)}</div>'
