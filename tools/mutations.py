@@ -330,8 +330,8 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/before an upright edge",
-        "too_near * per_metre > BEYOND_BODY * nearest * nearest",
-        "too_near * per_metre > 1e3 * nearest * nearest",
+        "np.floor(ends[:, 0] - BEYOND_BODY)",
+        "np.floor(ends[:, 0] - 1e3)",
         LABELS,
     ),
     Mutation("labels/range of a ramp", "return t * t / 2", "return t * t / 3", LABELS),

@@ -13,7 +13,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
-from sonar_gl.beamform.labels import Labeller, Labels
+from sonar_gl.beamform.labels import Labeller, Labels, bins_of_bodies
 from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
@@ -65,10 +65,12 @@ class BodySums(NamedTuple):
     Attributes
     ----------
     runs : plain tuple of kernels.Runs
+    body_bins : of `bins_of_bodies`
     is_little : there is little work, which one thread does
     """
 
     runs: tuple
+    body_bins: np.ndarray
     is_little: bool
 
 
@@ -505,7 +507,7 @@ class Beamformer:
         runs = self._labeller.sum_up(view, self.strips, run, columns, clear)
         self.share_wide_columns(columns)
         echo = self._with_bubbles(self.weigh(gain), view, gain)
-        return echo, BodySums(runs, is_little)
+        return echo, BodySums(runs, bins_of_bodies(view.body_spans, self._bins[0]), is_little)
 
     def find_labels(
         self, bodies: BodySums, gain, n_bodies: int, background: ShadowedBackground | None = None
@@ -524,7 +526,7 @@ class Beamformer:
             self._sum_footprints(view.sectors, view.body_spans)
             unshadowed, _ = self._weigh_support(self._tiles, NO_GAIN)  # labels know no far side lobes
         run = partial(self._run, serial=bodies.is_little)
-        return self._labeller.find(bodies.runs, run, gain, n_bodies, mask, unshadowed)
+        return self._labeller.find(bodies.runs, run, gain, n_bodies, bodies.body_bins, mask, unshadowed)
 
     def _run(self, work, serial: bool = False) -> None:
         """Do work(0) and work(1)."""

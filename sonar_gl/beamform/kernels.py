@@ -141,9 +141,6 @@ UNTRIED_STRIPS = 15
 # Of its range: a longer footprint is kept within the range of its body. Half a sample beyond a face that is seen nearly
 # edge-on may lie metres from it.
 LONG_FOOTPRINT = 1 / 64
-# Of a bin: a footprint nearer or further than its body by more than this is kept within it, too, however short it is.
-# By less do planes of faces that the sonar sees face on deviate, whose footprints need no change.
-BEYOND_BODY = 1 / 8
 LEAST_POWER = 1e-30  # of an elevation pattern: less in a null
 LEAST_AHEAD = 1e-2  # less than x of all that strips of cones hold, see `lay_on_cone`
 
@@ -695,18 +692,6 @@ def _is_long(work, m):
     )
 
 
-@inlined
-def _is_beyond(work, m, furthest, nearest, per_metre):
-    """Return whether a footprint lies nearer or further than `furthest` to `nearest` by BEYOND_BODY of a bin."""
-    half = work[A, m] + work[B, m]
-    too_near, too_far = work[S, m] + half - nearest, furthest - work[S, m] + half
-    # a change of s is that of range times s squared
-    return (
-        too_near * per_metre > BEYOND_BODY * nearest * nearest
-        or too_far * per_metre > BEYOND_BODY * furthest * furthest
-    )
-
-
 @uncounted
 def keep_within(work, m, furthest, nearest):
     """Move the ends of a footprint in s to where its body lies, between `furthest` and `nearest`; its echo stays."""
@@ -722,21 +707,17 @@ def keep_within(work, m, furthest, nearest):
 
 
 @uncounted
-def _keep_within_bodies(work, strip, body_id, body_spans, columns, per_metre):
-    """Keep a strip's footprints within the ranges of their bodies, if they are long or lie beyond.
+def _keep_within_bodies(work, strip, body_id, body_spans, columns):
+    """Keep a strip's long footprints within the ranges of their bodies.
 
-    body_id : (R, C) uint16, in `whole_rows`; body_spans : of `ViewSamples`; columns : of Lattice; per_metre : of
-        BinTable
+    body_id : (R, C) uint16, in `whole_rows`; body_spans : of `ViewSamples`; columns : of Lattice
     """
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     for m in range(uint64(strip.first), uint64(strip.last)):
-        if not (work[ENERGY, m] > 0.0 and work[S, m] > 0.0):
-            continue
-        i = uint64(min(max(np.int64(work[SAMPLE, m]), 0), columns - 1))
-        number = uint64(body_id[uint64(work[ROW, m]), i])
-        furthest, nearest = body_spans[number, 0], body_spans[number, 1]
-        if _is_long(work, m) or _is_beyond(work, m, furthest, nearest, per_metre):
-            keep_within(work, m, furthest, nearest)
+        if _is_long(work, m):
+            i = uint64(min(max(np.int64(work[SAMPLE, m]), 0), columns - 1))
+            number = uint64(body_id[uint64(work[ROW, m]), i])
+            keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
 
 
 @uncounted
@@ -965,7 +946,7 @@ def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, sp
             continue
         _find_footprints(work, strip, elevation_pattern, bins.per_metre)
         if body_spans.shape[0] > 0:
-            _keep_within_bodies(work, strip, body_id, body_spans, lattice.columns, bins.per_metre)
+            _keep_within_bodies(work, strip, body_id, body_spans, lattice.columns)
         if spread:
             short_ramp = SHORT_RAMP_OF_JOINED if strip.are_joined else SHORT_RAMP
             spread_footprints(work, strip.first, strip.last, sums, spans, strip.column, bins, short_ramp)
@@ -1565,12 +1546,9 @@ def sum_bodies(
         _find_numbers(work, strip, lattice.columns, body_id, numbers)
         if body_spans.shape[0] > 0:
             for m in range(uint64(start), uint64(last)):
-                if not (work[ENERGY, m] > 0.0 and work[S, m] > 0.0):
-                    continue
-                number = uint64(numbers[m])
-                furthest, nearest = body_spans[number, 0], body_spans[number, 1]
-                if _is_long(work, m) or _is_beyond(work, m, furthest, nearest, bins.per_metre):
-                    keep_within(work, m, furthest, nearest)
+                if _is_long(work, m):
+                    number = uint64(numbers[m])
+                    keep_within(work, m, body_spans[number, 0], body_spans[number, 1])
         _find_angles(work, strip)
         if spread:
             _find_intervals(work, start, last, bins)
@@ -1881,8 +1859,19 @@ def sum_body_echo(runs, response, gain, half, body_echo):
         body_echo[runs.bodies[m]] += total
 
 
+@inlined
+def _clear_outside(rows, body_bins, body, k0):
+    """Set the echo of a body to zero in those bins from k0 on in which it cannot be; `rows` as of `_compare`."""
+    low, high = max(body_bins[body, 0] - k0, 0), max(body_bins[body, 1] - k0, 0)
+    for r in range(TILE_BEAMS):
+        for k in range(min(low, TILE_BINS)):
+            rows[r * TILE_ROW + k] = 0.0
+        for k in range(high, TILE_BINS):
+            rows[r * TILE_ROW + k] = 0.0
+
+
 @compiled
-def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, strongest):
+def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_bins, strongest):
     """Find in each bin of some beams the body with the strongest echo, and what is known of that echo.
 
     Parameters
@@ -1892,6 +1881,7 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, strong
     n_columns : of `LabelColumns`
     middle_m : (K,) float32, of BinTable
     is_background : (numbers,) bool
+    body_bins : (numbers, 2) int64, first bin in which a body may be and past the last; of no length if not known
     """
     runs, tiles, strongest = Runs(*runs), BeamTiles(*tiles), StrongestEcho(*strongest)
     B, K = strongest.share.shape
@@ -1930,6 +1920,8 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, strong
                     for b in range(b0, b1):
                         for k in range(n_bins):
                             strongest.background[b, k0 + k] += mine[(b - b0) * TILE_ROW + k]
+                if body_bins.shape[0] > 0:
+                    _clear_outside(mine, body_bins, body, k0)
                 if is_first:
                     _begin_comparison(best, np.int32(body), total, body_id)
                 else:

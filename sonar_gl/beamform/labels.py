@@ -30,6 +30,8 @@ COLUMNS_PER_BEAM = 4
 UNEVEN = 2e-3
 # Bins at a time of which labels are cleared, if any of them has one.
 BLOCK_BINS = 64
+# Of a bin: so far beyond the range of a body a bin may begin, or end, that has its label.
+BEYOND_BODY = 1 / 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,27 @@ class Labels:
     share: np.ndarray
     body_echo: np.ndarray
     shadow: np.ndarray | None
+
+
+def bins_of_bodies(body_spans: np.ndarray, bin_edges_m: np.ndarray) -> np.ndarray:
+    """Return (numbers, 2) int64, the first bin in which each body may have labels, and past the last.
+
+    Half a sample beyond the edge of a face that is seen nearly edge-on, its plane lies before or behind the body. Such
+    echo is faint, but it would be labelled.
+
+    Parameters
+    ----------
+    body_spans : of `ViewSamples`; of no length where a host does not tell where its bodies are, as is then the result
+    bin_edges_m : (K + 1,) evenly spaced
+
+    >>> bins_of_bodies(np.array([[0, 0], [1 / 3.05, 1 / 2.05], [0.1, np.inf]]), np.linspace(2, 4, 21)).tolist()
+    [[20, 20], [0, 11], [0, 20]]
+    """
+    n_bins = len(bin_edges_m) - 1
+    with np.errstate(divide="ignore"):
+        ends = (1 / body_spans[:, ::-1] - bin_edges_m[0]) * n_bins / (bin_edges_m[-1] - bin_edges_m[0])
+    first, past = np.floor(ends[:, 0] - BEYOND_BODY), np.ceil(ends[:, 1] + BEYOND_BODY)
+    return np.column_stack([first, past]).clip(0, n_bins).astype(np.int64)
 
 
 def without_weaker(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Labels:
@@ -259,6 +282,7 @@ class Labeller:
         run: Callable,
         gain: np.ndarray,
         n_bodies: int,
+        body_bins: np.ndarray,
         is_background: np.ndarray | None = None,
         unshadowed: np.ndarray | None = None,
     ) -> Labels:
@@ -269,6 +293,7 @@ class Labeller:
         runs, run : returned by `sum_up`, and as there
         gain : (K,) float32
         n_bodies : the highest number of a body
+        body_bins : of `bins_of_bodies`
         is_background : (n_bodies + 1,) bool by number, or None for no shadow
         unshadowed : (B, K) echo of the background alone, without the gain
         """
@@ -290,6 +315,7 @@ class Labeller:
                 self._columns.count,
                 self._middle_m,
                 mask,
+                body_bins,
                 tuple(strongest),
             )
 

@@ -20,8 +20,9 @@ from sonar_gl.embed import camera_rig
 from sonar_gl.embed.resample import UNSEEN, PixelPlanes
 from sonar_gl.engine.motion import shown_in_motion
 from sonar_gl.noise.noise import add_noise
+from sonar_gl.raster import scene_meshes
 from sonar_gl.sonar.fan import BeamShape, make_fan
-from sonar_gl.sonar.samples import SectorSamples
+from sonar_gl.sonar.samples import NO_SPANS, SectorSamples
 from tests.support import soak
 from tests.support.casting import Cast, box, cylinder, plane, sphere
 from tests.support.closed_forms import box_beams, cylinder_echo, plane_echo
@@ -126,8 +127,9 @@ def sector_camera(sector):
 
 
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical(pulse=True)])
-@pytest.mark.usefixtures("no_boxes")
-def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoustics):
+def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoustics, monkeypatch):
+    # no host tells where its bodies are, beyond which they have no labels
+    monkeypatch.setattr(scene_meshes, "body_spans", lambda *_: NO_SPANS)
     sonar, sampling, pose = sonar_of(), sg.Sampling(3, 100), sg.pose(0.3, 0.1, 0.2, 0.05, 0.1, 0.1)
     scene = room()
     mus = {n: 0.2 * n for n in range(1, 5)}
