@@ -651,7 +651,8 @@ def fuzzed_packet(dice, known: bytes) -> bytes:
     return packet
 
 
-@pytest.mark.parametrize("n", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [2000, 100_000])
 def test_wrong_packets_neither_end_nor_stall_a_publisher(open_transport, domain, name, n):
     dice, topic, transport = random.Random(n), topic_of(name), open_transport()
     first = 7400 + 250 * domain
