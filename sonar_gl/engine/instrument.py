@@ -52,8 +52,9 @@ class Instrument:
         if request.water is not None:
             acoustics = acoustics.in_water(request.water)
             gain, pulse = self._receiver_in(acoustics)
-        made = self.sonar.head_pose(request.pose), state, acoustics, gain, pulse, n_bodies
-        return PingSetup(request, *made, background, surface_z_m, needs_lobes, texture)
+        head_pose = self.sonar.head_pose(request.pose)
+        further = background, surface_z_m, needs_lobes, texture
+        return PingSetup(request, head_pose, state, acoustics, gain, pulse, n_bodies, *further)
 
     def _receiver_in(self, acoustics: Acoustics) -> tuple[np.ndarray, np.ndarray | None]:
         """Return gain and pulse in some water."""

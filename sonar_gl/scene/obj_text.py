@@ -25,9 +25,8 @@ UNTIDY = tuple(
     )
 )
 COUNTED = b"v", b"vt", b"vn"  # what the corner of a face names, in the order of a/b/c
-POLYGON = (
-    5  # corners from which on a face may be concave; quadrilaterals stay as they are, since there are many
-)
+# corners from which on a face may be concave; quadrilaterals stay as they are, since there are many
+POLYGON = 5
 
 
 def tidy_obj(text: bytes) -> bytes:

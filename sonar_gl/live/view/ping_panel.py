@@ -20,10 +20,8 @@ PANEL = "Ping"  # page.js has the same
 PANEL_WIDTH = 430  # pixels of the page
 ROW = "display:flex;flex-wrap:wrap;column-gap:0.5em;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
 FIRST_EM, SECOND_EM = 8, 5  # widths of the names in a row: "roll pitch yaw" is the longest
-VALUE_EM = (
-    10,
-    5,
-)  # widths of values in a row of two: a narrower panel, as on a phone, has the second on a line of its own
+# widths of values in a row of two: a narrower panel, as on a phone, has the second on a line of its own
+VALUE_EM = 10, 5
 NOTHING = "–"
 UNSELECT = "Unselect"
 SELECTED_NOTE = (

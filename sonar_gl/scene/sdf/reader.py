@@ -25,12 +25,8 @@ from sonar_gl.scene.sonar_sensor import SonarSensor
 
 MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
-NO_POSES = (
-    "pos",
-    "Pose",
-    "position",
-    "origin",
-)  # of a model or link: it would stand at the origin without a word
+# of a model or link: it would stand at the origin without a word
+NO_POSES = "pos", "Pose", "position", "origin"
 NOT_READ = "actor", "population", "road"  # in a world
 OTHER_ROOTS = {  # what a file of this root element is, and what to do with it
     "COLLADA": "this is a mesh: name it .dae",
