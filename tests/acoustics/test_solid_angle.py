@@ -51,8 +51,9 @@ def test_boxes_are_boxes():
     assert part == pytest.approx([WIDTH * height for height in heights], rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("taper", "edge"), [("uniform", UNIFORM_EDGE), ("hamming", HAMMING_EDGE)])
-@pytest.mark.parametrize("beam", [30, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("beam", [30, 2])
 def test_upright_beams(taper, edge, beam):
     """The sum over the sphere of B(ψ) times the pattern in elevation: one way all around, two ways over the fan."""
     sonar, acoustics = sonar_and_acoustics(

@@ -158,10 +158,9 @@ def test_a_wall_all_round_has_its_reflectivity_in_all_beams(elevation_pattern):
     np.testing.assert_allclose(ping.intensity.sum(axis=1), 0.5, rtol=4e-3)
 
 
-@pytest.mark.parametrize(
-    "elevation_pattern", ["line_array", pytest.param("gaussian", marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("conical_beams", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("elevation_pattern", ["line_array", "gaussian"])
+@pytest.mark.parametrize("conical_beams", [True, False])
 def test_a_wall_all_round_has_its_reflectivity_however_low_the_beams(elevation_pattern, conical_beams):
     """A main lobe of a twentieth of a degree is a small part of the hemisphere that side lobes receive."""
     sonar = make_sonar(60.0, 5, 4.0, elevation_fov_deg=0.05, beam_spacing="sine", elevation_taper="chebyshev")

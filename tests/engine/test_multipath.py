@@ -586,7 +586,8 @@ def test_a_face_that_only_the_image_sees_has_a_double_bounce(perfect):
     assert multipath_echo(scene, pose).sum() > 0
 
 
-@pytest.mark.parametrize("radius_m", [0.05, pytest.param(0.1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("radius_m", [0.05, 0.1])
 def test_a_small_body_keeps_its_multipath(radius_m):
     """With the samples for weak multipath it was missed at most of these places, and so seemed to have none."""
     sonar = sg.Sonar("test", 900e3, 24, 150, 80.0, 40.0, 4.0, 1.0, 16.0, bandwidth_hz=8e3)

@@ -77,7 +77,8 @@ def test_texture_of_a_mixture_has_the_variance_of_its_parts():
     assert out.var(dtype=np.float64) == pytest.approx(0.6**2 / 2, rel=0.02)
 
 
-@pytest.mark.parametrize("engine", ["cpu", pytest.param("opengl", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
 def test_texture_is_that_of_the_bodies_that_have_one(engine):
     """Before a wall with a texture stands one without: each beam sees one of them, and its contrast."""
     sonar = sg.Sonar("walls", 900e3, 32, 150, 60.0, 10.0, 1.0, 5.5, 8.5)

@@ -118,6 +118,7 @@ def test_seeds_and_ping_numbers_differ():
     assert len(pings) == 4
 
 
+@pytest.mark.slow
 def test_same_bytes_for_any_number_of_threads(capsys):
     """BLAS starts a thread per core; no sum may depend on their number: one here, five in another process."""
     code = (

@@ -266,6 +266,7 @@ def publish_once(transport, topic, message):
     return True
 
 
+@pytest.mark.slow
 def test_a_late_program_receives_the_last_message_of_a_latched_topic(port, router, transports):
     topic = topic_of("/tf_static", "tf2_msgs/msg/TFMessage", latched=True, depth=1)
     transport = transports()
@@ -428,7 +429,8 @@ def test_it_listens_at_127_0_0_1_only(router, transports):
 
 
 # by 0.0.0.0 the transport reaches this machine as if it were another one: it is a client, and all goes by the router
-@pytest.mark.parametrize("host", ["127.0.0.1", pytest.param("0.0.0.0", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
 def test_a_router_that_disappears_and_returns(port, transports, host):
     topic, received, fixed = image_topic(), [], []
     latched = topic_of("/tf_static", "tf2_msgs/msg/TFMessage", latched=True, depth=1)
