@@ -939,9 +939,9 @@ def newest_version():
     "more",
     [
         (),
-        (0x31B2, 1),  # EGL_CONTEXT_OPENGL_ROBUST_ACCESS
-        (0x31BD, 0x31BE),  # its reset notification strategy: none
-        (0x31BD, 0x31BF),  # to lose the context
+        pytest.param((0x31B2, 1), marks=pytest.mark.slow),  # EGL_CONTEXT_OPENGL_ROBUST_ACCESS
+        pytest.param((0x31BD, 0x31BE), marks=pytest.mark.slow),  # its reset notification strategy: none
+        pytest.param((0x31BD, 0x31BF), marks=pytest.mark.slow),  # to lose the context
         (0x31B2, 1, 0x31BD, 0x31BF),
         (0x31B3, 1),  # EGL_CONTEXT_OPENGL_NO_ERROR_KHR
     ],

@@ -12,7 +12,7 @@ import pytest
 import sonar_gl as sg
 from tests.support.file_fuzzer import JOB, is_sound_message, make_kinds, read_all_of_job, try_case
 
-N_CASES = 60  # of each kind; ten thousand of each by hand
+N_CASES = 30  # of each kind; ten thousand of each by hand
 KINDS = ["sonar.toml", "beams.toml", "job.toml", "scene.sdf", "poses.csv", "ping.npz", "members.npz"]
 MESHES = ["obj", "stl", "text.stl", "ply", "text.ply", "glb", "gltf", "dae"]
 

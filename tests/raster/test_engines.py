@@ -225,7 +225,9 @@ def test_hard_cases(monkeypatch, bodies, sonar, pose):
 
 @pytest.mark.usefixtures("driver")
 @pytest.mark.parametrize("engine", ["cpu", "opengl"])
-@pytest.mark.parametrize("exponent", [-100, -40, -10, 20, 66])
+@pytest.mark.parametrize(
+    "exponent", [-100, 66, *(pytest.param(e, marks=pytest.mark.slow) for e in (-40, -10, 20))]
+)
 def test_the_length_of_normals_changes_nothing(engine, exponent):
     """Powers of two round nothing. Normals shorter than 1e-3 counted as none, and long ones returned no echo."""
     unit = [ball("a", sg.pose(5), 0.9, smooth=True), ball("b", sg.pose(7, 2)), floor()]
