@@ -157,9 +157,8 @@ def _cancelled_by_signals(task: asyncio.Task):
     if threading.current_thread() is threading.main_thread():  # others may have no handlers
         handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         before = {number: handler for number, handler in handlers.items() if callable(handler)}
-    for (
-        number
-    ) in before:  # by the loop, which wakes up: after one of signal.signal it may wait on for its next event
+    # by the loop, which wakes up: after a handler of signal.signal it may wait on for its next event
+    for number in before:
         loop.add_signal_handler(number, task.cancel)
     try:
         yield
