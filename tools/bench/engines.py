@@ -31,6 +31,7 @@ SCENES = {
 }  # name: OpenGL's time over that of the engine cpu, aimed at
 IDEAL = sg.Acoustics.ideal()
 FEW = 48  # pings of a sequence: workers take some to start
+VIEW_TOLERANCE = 0.05
 
 
 def one_triangle() -> sg.Scene:
@@ -92,6 +93,30 @@ def engines_of(name: str, rounds: int) -> dict[str, float]:
     return out
 
 
+def views(acoustics, rounds: int) -> float:
+    """Return the time of pings that choose their samples alone, as in batches, over that with samples planned for each.
+
+    From random poses, as many as rounds; the least of three times with planned samples.
+    """
+    scene, sonar, rng = sg.load_scene("pylon"), sg.load_sonar("p900-45"), np.random.default_rng(0)
+    alone_ms, planned_ms = [], []
+    with ExitStack() as stack:
+        alone, planned = (
+            stack.enter_context(sg.Simulator(scene, sonar, acoustics, tolerance=VIEW_TOLERANCE))
+            for _ in range(2)
+        )
+        for number in range(-3, rounds):
+            move, angles = rng.uniform(-2, 2, 3), rng.uniform(-1, 1, 3) * (0.1, 0.1, 0.6)
+            pose = scene.sonar_pose @ sg.pose(*move, *angles)
+            took_ms = harness.timed(internals.ping_alone, alone, pose)[0]
+            planned.plan([pose])
+            again_ms = [harness.timed(planned.ping, pose)[0] for _ in range(4)]
+            if number >= 0:
+                alone_ms.append(took_ms)
+                planned_ms.append(min(again_ms))
+    return sum(alone_ms) / sum(planned_ms)
+
+
 def picture(ping: sg.Ping) -> None:
     """Form the picture that a device shows."""
     sg.colorize(sg.fan_image(ping))
@@ -150,6 +175,11 @@ def run(options) -> dict:
         aims.append(Aim(f"{name}: with labels / without", one["labels"], "times", 1.6))
         aims.append(
             Aim(f"{name}: ping() / pings()", one["one by one / sequence"], "times", 1.6, at_least=True)
+        )
+    for profile in "ideal", "physical":
+        ratio = views(getattr(sg.Acoustics, profile)(), options.rounds)
+        aims.append(
+            Aim(f"pylon, p900-45, {profile}: samples chosen for each ping / planned", ratio, "times", 2.0)
         )
     aims.append(Aim("empty scene, a ping: the share of Python", more["nothing, ms"], "ms", 0.06))
     aims.append(Aim("one triangle, a ping", more["one triangle, ms"], "ms", 0.2))
