@@ -210,6 +210,8 @@ def test_profiles():
     assert Noise.none() == Noise()
     assert Noise.demarco2015() == Noise(median=3, salt_and_pepper=0.005, cloud_gaussian_m=0.01)
     assert Noise.physical() == Noise(speckle=True, follow_motion=True, self_noise=True)
+    without = Noise.physical(speckle=False, ambient_db=-60.0)
+    assert without == Noise(follow_motion=True, self_noise=True, ambient_db=-60.0)
 
 
 @pytest.mark.parametrize(
