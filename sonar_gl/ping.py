@@ -35,6 +35,7 @@ class GBuffer:
     Attributes
     ----------
     range_m : (R, C) float32, slant range of the surface, metres; 0 if there is none
+    direction : (R, C, 3) float32, unit vector of the sample's ray in the frame of the head; by `range_m` its point
     normal : (R, C, 3) float32, geometric unit normal in the frame of the head, turned towards the sonar
     echo : (R, C) float32, per steradian before any gain: the diffuse echo μ cos θ, and the specular lobe of smooth
         faces if the acoustics have lobes
@@ -42,6 +43,7 @@ class GBuffer:
     """
 
     range_m: np.ndarray
+    direction: np.ndarray
     normal: np.ndarray
     echo: np.ndarray
     body_id: np.ndarray

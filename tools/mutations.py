@@ -351,6 +351,12 @@ MUTATIONS = (
     Mutation(
         "labels/slant of boxes", "rise = work[SLANT, m] / max(work[A, m], work[B, m])", "rise = 0.0", LABELS
     ),
+    Mutation(
+        "labels/rise of elevation",
+        "elevation_rise[m] = rise if is_nearer_above else -rise",
+        "elevation_rise[m] = (rise if is_nearer_above else -rise) if strip.are_joined else 0.0",
+        LABELS,
+    ),
     Mutation("labels/incidence", "+ along_v * along_v - towards * towards", "- towards * towards", LABELS),
     Mutation(
         "labels/arctan",

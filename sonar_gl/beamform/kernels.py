@@ -1241,7 +1241,7 @@ def _find_angles(work, strip):
     """Find elevation and incidence of a strip's footprints, before `_find_intervals`."""
     rest, along, along_u, border, s = work[REST], work[ALONG], work[ALONG_U], work[BORDER], work[S]
     line_u, tilt, elevation, incidence = work[LINE_U], work[TILT], work[ELEVATION], work[INCIDENCE]
-    inverse_length, elevation_rise, incidence_rise = work[NEAR], work[ELEVATION_RISE], work[INCIDENCE_RISE]
+    inverse_length, incidence_rise = work[NEAR], work[INCIDENCE_RISE]
     first, last = strip.first, strip.last
     for m in range(uint64(first), uint64(_whole(first, last))):
         # of the plane p · x = 1, whose other parts are the slopes
@@ -1254,16 +1254,12 @@ def _find_angles(work, strip):
         incidence_rise[m] = past  # for `_find_rises`
         vc = (border[m] + border[uint64(m + 1)]) / 2
         elevation[m] = math.copysign(asin(abs(vc) * inverse_length[m]), vc)
-    if strip.are_joined:
-        _find_rises(work, strip)
-    else:
-        for m in range(uint64(first), uint64(last)):
-            elevation_rise[m] = incidence_rise[m] = 0.0
+    _find_rises(work, strip)
 
 
 @inlined
 def _find_rises(work, strip):
-    """Find how elevation and incidence change with s within footprints of several rows."""
+    """Find how elevation and incidence change with s within footprints."""
     rest, along, border, s = work[REST], work[ALONG], work[BORDER], work[S]
     line_u, tilt, a, b, incidence = work[LINE_U], work[TILT], work[A], work[B], work[INCIDENCE]
     elevation_rise, incidence_rise = work[ELEVATION_RISE], work[INCIDENCE_RISE]

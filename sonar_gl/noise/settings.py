@@ -129,8 +129,8 @@ class Noise:
         return cls(median=3, salt_and_pepper=0.005, cloud_gaussian_m=0.01)
 
     @classmethod
-    def physical(cls) -> Noise:
-        """Return place-locked speckle, and self-noise that shows in distant shadows.
+    def physical(cls, **settings) -> Noise:
+        """Return place-locked speckle, and self-noise that shows in distant shadows; settings are the fields, by name.
 
         A sonar that stands still sees the same speckle again, as real ones do (docs/realism.md), and new noise.
 
@@ -138,8 +138,11 @@ class Noise:
         `Sonar.self_noise_db`, becomes −43 dB of full scale; at 10 m it becomes −64 dB. That level is 31 dB above the
         thermal noise in a band of 30 kHz at a source level of 205 dB (`sonar_gl.noise.receiver.absolute_levels`). It is
         chosen for its likeness to pictures of such sonars, not measured.
+
+        >>> Noise.physical(speckle=False) == Noise(follow_motion=True, self_noise=True)
+        True
         """
-        return cls(speckle=True, follow_motion=True, self_noise=True)
+        return cls(**{"speckle": True, "follow_motion": True, "self_noise": True} | settings)
 
     @classmethod
     def parse(cls, text: str) -> Noise:

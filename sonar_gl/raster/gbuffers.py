@@ -1,4 +1,4 @@
-"""Samples as G-buffers: range, normal, echo and body of each."""
+"""Samples as G-buffers: range, direction, normal, echo and body of each."""
 
 from __future__ import annotations
 
@@ -20,10 +20,13 @@ def gbuffers_of(view: ViewSamples) -> list[GBuffer]:
         hit = q > 0
         length = np.where(hit, np.linalg.norm(plane, axis=-1), 1.0)
         normal = -(plane / length[..., None]) @ sector.rotation()
-        range_m = np.where(hit, np.sqrt(1 + u * u + v * v) / np.where(hit, q, 1.0), 0.0)
+        ray = np.stack([np.ones_like(u), -u, v], axis=-1) @ sector.rotation()
+        ray_length = np.sqrt(1 + u * u + v * v)
+        range_m = np.where(hit, ray_length / np.where(hit, q, 1.0), 0.0)
         out.append(
             GBuffer(
                 range_m=range_m.astype(np.float32),
+                direction=(ray / ray_length[..., None]).astype(np.float32),
                 normal=np.where(hit[..., None], normal, 0).astype(np.float32),
                 echo=np.where(hit, plane_echo[..., 3] / np.where(hit, range_m, 1), 0).astype(np.float32),
                 body_id=np.where(hit, body_id, 0),  # OpenGL leaves open whether integers are cleared

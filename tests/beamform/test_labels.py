@@ -291,10 +291,11 @@ def test_atan_asin_and_the_centre_of_bins():
     np.testing.assert_allclose(bin_table(edges).middle_m, 1 / (1 / fine).mean(axis=0), rtol=1e-6)
 
 
-@pytest.fixture(scope="module")
-def walled():
-    """Return a ping of a floor and a wall at 16 m."""
-    return ping([FLOOR, plate("wall", 16.0, -HEIGHT_M, 30.0)])
+@pytest.fixture(scope="module", params=[40, 160], ids=["single_rows", "joined_rows"])
+def walled(request):
+    """Return a ping of a floor and a wall at 16 m; samples are 1° or 0.25° high."""
+    walls = [FLOOR, plate("wall", 16.0, -HEIGHT_M, 30.0)]
+    return ping(walls, sampling=sg.Sampling(2, request.param))
 
 
 def test_incidence_and_elevation_of_a_floor_and_a_wall(walled):
@@ -302,10 +303,11 @@ def test_incidence_and_elevation_of_a_floor_and_a_wall(walled):
     r = walled.true_range_m
     floor, wall = (walled.body_id == 1) & (r < 15.5), (walled.body_id == 2) & (walled.share == 1)
     assert floor.sum() > 500 and wall.sum() > 300
-    # a sample is 40°/160 high; the angle of its centre applies to all bins that it covers
-    limit = math.radians(0.25) / 2
+    # far below the height of a sample, which covers several bins: within it, angles follow the range
+    limit = math.radians(0.01)
     np.testing.assert_allclose(walled.incidence_rad[floor], np.arccos(HEIGHT_M / r[floor]), atol=limit)
     np.testing.assert_allclose(walled.elevation_rad[floor], -np.arcsin(HEIGHT_M / r[floor]), atol=limit)
+    limit = math.radians(0.25) / 2
     # near normal incidence the mean of angles exceeds the angle of the mean
     far = wall & (r > 16.5)
     np.testing.assert_allclose(walled.incidence_rad[far], np.arccos(16 / r[far]), atol=2 * limit)

@@ -12,7 +12,7 @@ import sonar_gl
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
 from tests.support.errors import error_of
-from tests.support.even_ping import SIGMAS, even_ping
+from tests.support.even_ping import SIGMAS, correlation, even_ping
 from tests.support.processes import python
 from tests.support.threads import counting_thread
 
@@ -95,6 +95,17 @@ def test_a_term_leaves_the_numbers_of_others():
     hit = noisy(Noise(salt_and_pepper=0.1), ping, 5) != 2
     hit_beside_others = np.isin(noisy(Noise(True, 0.01, 0.1), ping, 5), [0, 1])
     assert hit.any() and hit_beside_others[hit].all()
+
+
+@pytest.mark.parametrize("follow_motion", [True, False])
+def test_only_place_locked_speckle_leaves_the_numbers_of_receiver_noise(follow_motion):
+    dark = even_ping(level=0.0, pose=HERE)
+    both = noisy(Noise(speckle=True, follow_motion=follow_motion, ambient_db=-30.0), dark, 5)
+    alone = noisy(Noise(ambient_db=-30.0), dark, 5)
+    if follow_motion:
+        np.testing.assert_allclose(both, alone, rtol=1e-6)  # float32
+    else:  # one field for both
+        assert abs(correlation(both, alone)) < 0.2
 
 
 # --- seeds and bytes
@@ -200,6 +211,8 @@ def test_profiles():
     assert Noise.none() == Noise()
     assert Noise.demarco2015() == Noise(median=3, salt_and_pepper=0.005, cloud_gaussian_m=0.01)
     assert Noise.physical() == Noise(speckle=True, follow_motion=True, self_noise=True)
+    without = Noise.physical(speckle=False, ambient_db=-60.0)
+    assert without == Noise(follow_motion=True, self_noise=True, ambient_db=-60.0)
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,9 @@ def test_gbuffer_of_a_slanted_plane_is_exact():
         assert inner.sum() > 0.5 * (cosine > 0.35).sum()
         # float32 positions of 40 m give micrometres; the slopes are differences of neighbouring pixels
         np.testing.assert_allclose(buffer.range_m[inner], exact[inner], rtol=5e-6)
+        points = buffer.range_m[..., None] * buffer.direction
+        np.testing.assert_allclose(points[inner] @ normal, 7.0 - 0.5e-3, rtol=5e-6)
+        np.testing.assert_allclose(buffer.direction, rays, atol=1e-7)
         assert np.abs(buffer.normal[inner] + normal).max() < 2e-3
         np.testing.assert_allclose(buffer.echo[inner], 0.6 * cosine[inner], rtol=1e-3)
         assert set(np.unique(buffer.body_id)) <= {0, 1}
