@@ -70,12 +70,30 @@ class Simulator:
         check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
         check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
         check_kind("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)")
-        self.sonar = sonar
-        self.acoustics = acoustics if acoustics is not None else Acoustics.physical()
+        self._sonar = sonar
+        self._acoustics = acoustics if acoustics is not None else Acoustics.physical()
         world = scene.world if isinstance(scene, Simulator) else World(scene, engine, device, context)
         self._run = Run(world, sonar, self.acoustics, sampling, tolerance)
         self.gl_info = world.gl_info
         warm_up(self._run)
+
+    @property
+    def sonar(self) -> Sonar:
+        """The sonar, as given; setting it is an Error."""
+        return self._sonar
+
+    @sonar.setter
+    def sonar(self, _):
+        raise _fixed_error("sonar")
+
+    @property
+    def acoustics(self) -> Acoustics:
+        """The acoustics, as given; setting them is an Error."""
+        return self._acoustics
+
+    @acoustics.setter
+    def acoustics(self, _):
+        raise _fixed_error("acoustics")
 
     @property
     def run(self) -> Run:
@@ -261,3 +279,11 @@ class Simulator:
     def __del__(self):
         if getattr(self, "_run", None) is not None:
             self._run.forget()
+
+
+def _fixed_error(name: str) -> Error:
+    """Return the Error for a new value of what a simulator was made with."""
+    return Error(
+        f"the {name} of a Simulator must not be changed (got a new value; for another range, say, make a second one in "
+        "the same scene: Simulator(simulator, sonar.with_range(10)))"
+    )

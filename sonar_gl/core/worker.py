@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import contextmanager, nullcontext, suppress
 from queue import SimpleQueue
-from threading import Lock, Thread, get_ident
+from threading import Lock, RLock, Thread
 
 from sonar_gl.core.errors import Error, closed_error
 
@@ -30,24 +30,40 @@ class ThreadLock:
     """
 
     def __init__(self, message: str):
-        self._lock, self._owner, self._message = Lock(), None, message
+        # the inner lock is only taken under the outer one, whose owner Python knows at any step: a signal handler may
+        # come between acquiring a lock and noting by whom
+        self._outer, self._inner, self._message = RLock(), Lock(), message
 
     def check_free(self) -> None:
         """Raise the Error if this thread holds the lock."""
-        # an interrupt may leave the name of the last owner, so both count
-        if self._owner == get_ident() and self._lock.locked():
+        with self.held_if_free() as is_held:
+            pass
+        if is_held is None:
             raise Error(self._message)
 
     @contextmanager
     def held(self):
         """Hold the lock for the time of the block; an interrupt at any line releases it."""
-        self.check_free()
-        with held(self._lock):
-            try:
-                self._owner = get_ident()
+        with held(self._outer):
+            if self._inner.locked():  # by this thread
+                raise Error(self._message)
+            with held(self._inner):
                 yield
-            finally:
-                self._owner = None
+
+    @contextmanager
+    def held_if_free(self):
+        """Hold the lock if it is free; yield True, or False if another thread holds it, or None if this one does."""
+        if not self._outer.acquire(blocking=False):
+            yield False
+            return
+        try:
+            if self._inner.locked():
+                yield None
+            else:
+                with held(self._inner):
+                    yield True
+        finally:
+            self._outer.release()
 
 
 class Job:
@@ -55,27 +71,33 @@ class Job:
 
     A caller that is interrupted in the work leaves it undone: the next one who needs it begins it anew.
 
+    Parameters
+    ----------
+    in_use : message of the Error for a thread that does the work and would wait for it, as in a signal handler
+
     Attributes
     ----------
     answer, failure : what `work` has returned or raised
     is_over : whether it is done, or cancelled
     """
 
-    def __init__(self, work: Callable[[], object]):
+    def __init__(self, work: Callable[[], object], in_use: str = "a job must not wait for itself"):
         self.answer, self.failure, self.is_over = None, None, False
-        self._work, self._doing = work, Lock()
+        self._work, self._doing = work, ThreadLock(in_use)
 
     def begin(self) -> None:
         """Do the work, unless another thread does it; for threads that serve."""
-        if self._doing.acquire(blocking=False):
-            try:
+        with self._doing.held_if_free() as is_held:
+            if is_held:
                 self._do()
-            finally:
-                self._doing.release()
+
+    def check_free(self) -> None:
+        """Raise an Error if this thread is in the middle of the work."""
+        self._doing.check_free()
 
     def settle(self) -> None:
         """Have the job done: wait for the thread that does it, or do it here if none has begun."""
-        with held(self._doing):
+        with self._doing.held():
             self._do()
 
     def cancel(self) -> None:

@@ -13,6 +13,7 @@ from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.multipath import HalvingChoice, ImageSources
 from sonar_gl.engine.pipeline import draw, receive
 from sonar_gl.engine.stage import StageCache
+from sonar_gl.engine.world import IN_USE
 from sonar_gl.raster.engine import RasterEngine
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.sonar import Sonar
@@ -74,7 +75,7 @@ class PingWorker:
                 own = replace(resolution, stage=self._stages.stage(self._sampling))
                 return [receive(one) for one in draw(self._images, [setup], own)]
 
-        return Job(make)
+        return Job(make, IN_USE)
 
     def submit(self, job: Job) -> None:
         """Have the thread do a job."""

@@ -21,7 +21,7 @@ from sonar_gl.engine.no_echo import why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import StageCache
-from sonar_gl.engine.world import World
+from sonar_gl.engine.world import IN_USE, World
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES, MAX_SAMPLES
 from sonar_gl.scene.extent import air_text
 from sonar_gl.scene.state import SceneState
@@ -106,7 +106,7 @@ class Run:
             with held(self._summing):
                 return work()
 
-        return self.await_job(Job(alone))
+        return self.await_job(Job(alone, IN_USE))
 
     def await_job(self, job: Job) -> Job:
         """Have `drawing` wait for a job, and return it.
@@ -260,6 +260,8 @@ class Run:
         if world is not None:
             world.check_thread()
             world.check_idle()
+            for job in self._in_flight:
+                job.check_free()  # first: what is half closed would end the sequence with another error
             self._is_closed = True
             world.leave(id(self), self._release)
             self._world = None

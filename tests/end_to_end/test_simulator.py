@@ -812,3 +812,13 @@ def test_the_repr_of_a_ping_is_one_short_line():
     assert repr(ping) == f"<Ping of 4 beams x 30 bins, sonar 'test', by {renderer}>"
     assert repr(sg.Ping(ping.intensity, ping.azimuth_rad, ping.range_m)) == "<Ping of 4 beams x 30 bins>"
     assert repr(sg.Ping(None, None, None)) == "<Ping of shape ()>"
+
+
+@pytest.mark.parametrize("name", ["sonar", "acoustics"])
+def test_what_a_simulator_was_made_with_is_not_changed(name):
+    """Else `simulator.sonar = sonar.with_range(5)` is taken, and pings keep the range that they had."""
+    with sg.Simulator(sg.Scene([]), sg.load_sonar("p900-45"), sampling=sg.Sampling(1, 8)) as simulator:
+        given = getattr(simulator, name)
+        with pytest.raises(sg.Error, match=rf"the {name} of a Simulator must not be changed .*with_range"):
+            setattr(simulator, name, given)
+        assert getattr(simulator, name) is given

@@ -13,7 +13,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.worker import JobThread
-from sonar_gl.engine import pipeline, sequence
+from sonar_gl.engine import ping_worker, pipeline, sequence
 from sonar_gl.ping import BIN_LABELS
 from tests.support.estimates import record_estimates
 
@@ -421,6 +421,30 @@ def test_a_simulator_is_not_closed_in_the_middle_of_its_ping(it):
     with it.run.drawing(), pytest.raises(sg.Error, match="must not be used while it makes a ping"):
         it.close()
     assert it.ping(POSES[0]).intensity.any()
+
+
+@pytest.mark.timeout(60, method="thread")  # a hang is one that no signal ends
+@pytest.mark.parametrize("what", ["ping", "place", "close"])
+def test_a_call_in_the_middle_of_a_ping_of_a_sequence_raises_an_error(it, monkeypatch, what):
+    """The caller makes some of its pings itself: a signal handler then waited for ever for its own thread."""
+    calls = {"ping": lambda: it.ping(POSES[0]), "place": lambda: it.place({"box": None}), "close": it.close}
+    expected, messages = [ping.intensity for ping in it.pings(POSES)], []
+    receive = pipeline.receive
+
+    def receive_and_call(drawn):
+        if threading.current_thread() is threading.main_thread():
+            with pytest.raises(sg.Error) as caught:
+                calls[what]()
+            messages.append(str(caught.value))
+        return receive(drawn)
+
+    for module in (ping_worker, sequence):
+        monkeypatch.setattr(module, "receive", receive_and_call)
+    monkeypatch.setattr(JobThread, "submit", lambda *_: None)  # the caller makes all of them
+    for ping, right in zip(it.pings(POSES), expected, strict=True):
+        np.testing.assert_array_equal(ping.intensity, right)
+    assert len(messages) == len(POSES)
+    assert all("must not be used while it makes a ping" in message for message in messages)
 
 
 @pytest.mark.timeout(60)
