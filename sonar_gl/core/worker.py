@@ -53,17 +53,19 @@ class ThreadLock:
     @contextmanager
     def held_if_free(self):
         """Hold the lock if it is free; yield True, or False if another thread holds it, or None if this one does."""
-        if not self._outer.acquire(blocking=False):
-            yield False
-            return
-        try:
-            if self._inner.locked():
+        is_acquired = False
+        try:  # before the lock is acquired, so that an interrupt at the next line releases it
+            is_acquired = self._outer.acquire(blocking=False)
+            if not is_acquired:
+                yield False
+            elif self._inner.locked():
                 yield None
             else:
                 with held(self._inner):
                     yield True
         finally:
-            self._outer.release()
+            if is_acquired:
+                self._outer.release()
 
 
 class Job:
