@@ -2,7 +2,8 @@
 
 As the sonar moves, no ping may take much longer than those before it: a check of the error costs nearly another ping,
 and what it finds changes the samples of later pings, in steps. Until finer samples have been checked, pings carry the
-error that the coarser ones had.
+error that the coarser ones had. A ping far from the one before tells nothing of the samples that it needs: they are
+chosen from it alone.
 """
 
 from __future__ import annotations
@@ -153,7 +154,7 @@ class Sampler(Protocol):
         """Choose samples for all of some pings, and stay with them."""
 
     def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView | None:
-        """Return a view of a ping with samples chosen from it alone, or None if all pings have the same samples.
+        """Return a view of a ping with samples chosen from it alone, or None if it has those of the pings before.
 
         further : states of which views are drawn along
         """
@@ -238,15 +239,12 @@ class AdaptiveSampling:
 
     def resolution_for(self, setup: PingSetup) -> Resolution:
         """Register a ping, and return its samples; those of the first ping keep the tolerance."""
-        before, check = self.history, self.register(setup)
+        check = self.register(setup)
         if check and self.plan is None:
             self.choice = self._search(setup, self.choice.level)
             self._warn_if_unmet(self.plan)
             return replace(self.resolution, is_final=True)
-        if self.choice.planned_poses is not None:
-            return self.resolution
-        may_search = check and self._trigger.is_far(before, setup.head_pose, setup.state)
-        return replace(self.resolution, check=check, may_search=may_search)
+        return replace(self.resolution, check=check)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Estimate the error of a ping if that is due; return other samples if it is to be sampled again."""
@@ -266,7 +264,7 @@ class AdaptiveSampling:
         is_wrong = (
             level < self._model.finest if judged.steps > 0 else level > 0 and judged.steps <= -LEVELS_PER_HALF
         )
-        is_searched = is_wrong and (resolution.may_search or is_first)
+        is_searched = is_wrong and is_first
         if is_searched:
             choice = self._search(drawn.setup, level)
         elif is_wrong:
@@ -349,27 +347,34 @@ class AdaptiveSampling:
 
     def register(self, setup: PingSetup) -> bool:
         """Add a ping to come to the history; return whether its error is to be estimated."""
-        if setup.request.alone:
+        if self._is_apart(setup):
             return True
         if self.choice.planned_poses is not None:
             return False
         pose, state, before, check = setup.head_pose, setup.state, self.history, self.choice.check
         cost, number = self._cost(self.choice.level), before.number + 1
+        self.history = PingHistory(number, pose, state, (*before.costs[1 - RECENT :], cost))
         if check is None:
-            self.history = PingHistory(number, pose, state, (cost,))
             return True
-        is_far = self._trigger.is_far(before, pose, state)
-        costs = (cost,) if is_far else (*before.costs[1 - RECENT :], cost)  # another place has other costs
-        self.history = PingHistory(number, pose, state, costs)
-        is_due = is_far or self.choice.is_due
-        is_due = is_due or self._trigger.is_due(check, pose, state, number - check.number)
+        is_due = self.choice.is_due or self._trigger.is_due(check, pose, state, number - check.number)
         return is_due and self._can_check()
 
-    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView:
+    def _is_apart(self, setup: PingSetup) -> bool:
+        """Return whether the samples of a ping are chosen from it alone: it asks for that, or is far from the last."""
+        if setup.request.alone:
+            return True
+        is_first, is_planned = self.choice.check is None, self.choice.planned_poses is not None
+        if is_first or is_planned:
+            return False
+        return self._trigger.is_far(self.history, setup.head_pose, setup.state)
+
+    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView | None:
         """Try finer samples until they keep the tolerance; the last that were tried are those of the ping.
 
-        The choice depends on this ping alone, and is not followed by others.
+        The choice depends on this ping alone. The next pings follow it, unless this one asked to be by itself.
         """
+        if not self._is_apart(setup):
+            return None
         level, model, before = self._first, self._model, None
         model.forget_limit()
         while True:
@@ -390,8 +395,16 @@ class AdaptiveSampling:
             self._stages.drop_large()
             self._room = 0
         self._room = max(self._room, n_samples)
-        self._warn_if_unmet(judged.plan)
-        return ChosenView(tried, judged.plan)
+        plan = judged.plan
+        if not setup.request.alone:
+            pose, state, number = setup.head_pose, setup.state, self.history.number + 1
+            check = LastCheck(pose, state, tried.echo.total, number)
+            self.choice = Choice(Resolution(tried.stage), plan.level, plan, check)
+            # after the choice: if an interrupt comes between, the next ping is chosen alone, too
+            costs = (self._cost(plan.level),)  # another place has other costs
+            self.history = PingHistory(number, pose, state, costs)
+        self._warn_if_unmet(plan)
+        return ChosenView(tried, plan)
 
     def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
         return LastCheck(setup.head_pose, setup.state, total, self.history.number)

@@ -59,7 +59,6 @@ class Resolution:
     ----------
     stage : Stage of the direct view
     check : the error of this ping is to be estimated
-    may_search : if it is wrong, other samples are searched at once: the ping lies far from the one before
     is_final : the ping is good whatever a check would say: these samples have just been chosen for it
     finer_images : image sources were found to be sampled too coarsely before
     error_estimate : that of this ping, whose samples were chosen from it alone; or None
@@ -67,7 +66,6 @@ class Resolution:
 
     stage: Stage
     check: bool = False
-    may_search: bool = False
     is_final: bool = False
     finer_images: bool = False
     error_estimate: float | None = None

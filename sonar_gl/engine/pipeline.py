@@ -41,11 +41,8 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping, again until its samples keep the tolerance. Inside `drawing`."""
     setup = run.with_later_bodies(setup)
-    resolution, received = None, sample_alone(run, setup) if setup.request.alone else None
-    if received is None:
-        resolution = run.sampler.resolution_for(setup)
-    else:
-        resolution = run.review(received)
+    received = sample_alone(run, setup)
+    resolution = run.sampler.resolution_for(setup) if received is None else run.review(received)
     while resolution is not None:
         if resolution.finer_images and received is not None:
             sources = run.image_sources_for(resolution, [setup])
@@ -65,7 +62,7 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
 
 
 def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
-    """Draw and receive a ping with samples chosen from it alone; None if all pings have the same samples."""
+    """Draw and receive a ping with samples chosen from it alone; None if it has those of the pings before."""
     further = further_states(setup)
     chosen = run.sampler.choose(setup, further.needed)
     if chosen is None:
