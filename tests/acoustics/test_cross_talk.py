@@ -70,6 +70,7 @@ def test_it_is_off_without_a_level_and_by_profile():
     assert not sg.Acoustics.ideal().cross_talk and not sg.Acoustics.demarco2015().cross_talk
 
 
+@pytest.mark.slow
 def test_speckle_of_copies_is_fully_developed():
     """Cross-talk mixes mean powers; each bin's power is then exponential, as that of a sum of fields is."""
     n = 400

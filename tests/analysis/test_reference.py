@@ -186,6 +186,7 @@ def test_a_sphere_about_the_sonar_returns_its_reflectivity_in_every_beam(beams, 
 # --- structure inside beams and fans
 
 
+@pytest.mark.slow
 def test_a_post_thinner_than_a_beam_is_weighted_by_the_pattern_at_its_azimuth():
     """A thin post shows the beam pattern, wherever it stands between the nodes."""
     acoustics, it = sg.Acoustics.physical(), sonar(20, 4.0, 1.0, bins=30)
@@ -338,6 +339,7 @@ def test_a_smaller_error_takes_more_rays():
     assert fine.meta["difference"] <= 0.003 < coarse.meta["difference"] <= 0.03
 
 
+@pytest.mark.slow
 def test_progress_counts_all_rays_and_changes_no_byte():
     floor, told = [plane_body((0.3, 0.2, -1) / np.sqrt(1.13), 3.0)], []
     counted = truth(floor, sonar(), progress=lambda cast, expected: told.append((cast, expected)))

@@ -161,6 +161,7 @@ def test_no_cost_is_negative(monkeypatch):
     assert min(costs) == 0.0
 
 
+@pytest.mark.slow
 def test_the_pricing_asks_before_each_ping_and_ends_where_that_raises(monkeypatch):
     events, ping, plan = [], sg.Simulator.ping, sg.Simulator.plan
 
@@ -200,6 +201,7 @@ STATED = replace(
 )
 
 
+@pytest.mark.slow
 def test_what_sonar_and_noise_state_is_priced_by_itself():
     """By hand: each adds its power to an image that has everything else; a lost beam is black."""
     scene, noise = room(), replace(sg.Noise.physical(), dropped_beams=0.1)

@@ -264,6 +264,7 @@ def test_without_embree_the_error_says_what_to_install(monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_without_a_terminal_lines_show_that_rays_are_being_cast(monkeypatch):
     monkeypatch.setattr(command, "LINE_EVERY_S", 0.0)
     status, _, err = run("tank.sdf", "--sonar", "small.toml", "--tolerance", 0.1, "--height", 60)

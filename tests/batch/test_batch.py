@@ -134,6 +134,7 @@ def test_water_that_no_simulator_may_vary_is_refused_before_any_ping(tmp_path, c
         BatchRequests(read_job(path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sonar", ["level", "upright"])
 def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, requests, pings, quiet, sonar):
     data = xr.open_dataset(small / "out" / "pings.zarr", group=sonar)
@@ -612,6 +613,7 @@ def test_coco_finds_bodies_where_the_labels_are_but_for_what_boxes_leave_out(sma
                 assert np.array_equal(coco.annToMask(annotation), mask == annotation["body_id"])
 
 
+@pytest.mark.slow
 def test_bodies_of_few_pixels_have_no_annotation_if_the_job_wants_none(small, tmp_path):
     """Only these differ, and images and masks do not."""
     path = write_job(tmp_path, 2, LABELS + "[coco]\nheight = 100\nmin_area = 40\n")
@@ -674,6 +676,7 @@ def test_bodies_of_one_model_and_class_are_one_instance_of_coco(tmp_path, togeth
             assert one["echo"] == pytest.approx(float(stored.body_echo[bodies].sum()), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_layers_boxes_and_masks_leave_out_what_the_noise_hides(tmp_path):
     """Beside the same batch without noise: whether a bin keeps its label follows from its echo there."""
     data, masks, noise = {}, {}, sg.Noise(self_noise=True, ambient_db=-32.0)

@@ -90,7 +90,7 @@ def test_spread_is_the_distribution_over_the_rectangle(s, a, b):
     assert np.abs(got - want).sum() <= (0.01 + steps) * want.sum()
 
 
-@pytest.mark.parametrize("slant", [-1.0, -0.3, 0.6])
+@pytest.mark.parametrize("slant", [0.6, *(pytest.param(one, marks=pytest.mark.slow) for one in (-1.0, -0.3))])
 @pytest.mark.parametrize(
     "s, a, b", [(0.1, 0.0, 0.02), (0.06, 0.0, 0.05), (0.1, 0.001, 0.02), (0.3, 0.02, 0.2)]
 )

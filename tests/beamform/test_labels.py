@@ -652,7 +652,9 @@ EDGE_ON = {
 
 
 @pytest.mark.parametrize("engine", ["cpu", "opengl"])
-@pytest.mark.parametrize("name", EDGE_ON)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in ("135", "165") else ()) for name in EDGE_ON]
+)
 def test_no_label_lies_nearer_or_further_than_its_body(engine, name, monkeypatch):
     """Half a sample beyond a face that is seen edge-on lies far from it: faint, but without noise it had a label."""
     body = EDGE_ON[name]
@@ -683,7 +685,7 @@ def test_no_label_lies_nearer_or_further_than_its_body(engine, name, monkeypatch
 
 
 @pytest.mark.parametrize("engine", ["cpu", "opengl"])
-@pytest.mark.parametrize("yaw_deg", [5, 10, 20, 45])
+@pytest.mark.parametrize("yaw_deg", [10, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 20, 45))])
 @pytest.mark.parametrize("tolerance", [0.1, 0.01])
 def test_no_label_lies_nearer_than_the_upright_edge_of_a_box(engine, tolerance, yaw_deg):
     """A sample that meets a face beside its edge reaches half of its width beyond: at 12 m up to 0.9 m before it."""

@@ -116,6 +116,7 @@ def test_it_ends_at_the_surface_of_the_water(roll, pitch, beam, elevation_patter
     assert abs((found[beam] / LEVEL - share).mean()) < 3e-3
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:no echo came back")
 def test_the_transmit_beam_weakens_it_as_it_does_a_wall():
     sonar = replace(SONAR, transmit_width_deg=30.0)

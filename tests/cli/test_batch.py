@@ -93,6 +93,7 @@ def test_a_dry_run_tells_of_pings_without_an_echo(tmp_path, monkeypatch):
     assert "no echo" not in run("batch", "job.toml", "--dry-run", "--workers", "1")[1]
 
 
+@pytest.mark.slow
 def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     wall = WALL.replace("1 20 20", "1000 200 500")

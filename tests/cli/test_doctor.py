@@ -78,6 +78,7 @@ def test_missing_package_has_its_cure(monkeypatch):
     assert finding.detail.startswith("cannot be imported (")
 
 
+@pytest.mark.slow
 def test_process_without_a_package(tmp_path):
     """The report is complete, though nothing of the simulator can be imported."""
     (tmp_path / "trimesh.py").write_text("raise ImportError('no trimesh here')")

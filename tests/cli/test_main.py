@@ -1007,6 +1007,7 @@ def test_process_renders_and_says_nothing_on_stderr():
         assert json.loads(str(file["meta"]))["scene"] == "tank"
 
 
+@pytest.mark.slow
 def test_process_without_egl():
     done = process(
         "render",

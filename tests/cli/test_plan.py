@@ -84,6 +84,7 @@ def test_the_command_says_what_was_chosen_why_and_what_else_there_is():
     assert all(len(row) == 6 and row[1].endswith(" %") and row[2].endswith(" %") for row in others.values())
 
 
+@pytest.mark.slow
 def test_it_prices_every_term():
     out = run("tank.sdf", *QUICK)[1]
     header, *rows = out.split("\n\n")[2].splitlines()
@@ -141,6 +142,7 @@ def test_json_holds_what_the_simulator_plans():
         assert cost["time_ratio"] == cost["time_ms"] / found["time_ms"]
 
 
+@pytest.mark.slow
 def test_a_sequence_takes_the_samples_that_render_gives_it():
     found = plan("--poses", "dive.csv")
     assert found["poses"] == 3

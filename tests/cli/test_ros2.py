@@ -80,6 +80,7 @@ def test_a_port_that_is_taken_is_a_mistake_of_the_user(tmp_path):
     assert f"must be able to listen at 127.0.0.1:{port} (got address already in use" in found.output
 
 
+@pytest.mark.slow
 def test_it_publishes_in_real_time_until_the_duration_has_passed(transports, caplog):
     with caplog.at_level(logging.INFO):
         found = run("pylon", *FAST, "--duration", "0.6", "--rate", "10")

@@ -158,6 +158,7 @@ def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoust
     assert (ping.pose == pose).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_normals", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_error_falls_with_the_resolution(truth, with_normals):
     sonar, errors = sonar_of(), []

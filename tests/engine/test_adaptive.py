@@ -511,6 +511,7 @@ class TestSideLobes:
         rng = np.random.default_rng(0)
         return [sg.pose(*rng.uniform(-0.3, 0.3, 3), *np.radians(rng.uniform(-3, 3, 3))) for _ in range(n)]
 
+    @pytest.mark.slow
     def test_a_ball_alone_is_found_and_keeps_the_tolerance(self):
         """The first samples miss it from two of these poses: no echo, and an estimate of 0."""
         scene, missed = sg.Scene([self.ball(40)]), []
@@ -667,7 +668,11 @@ class TestBodiesThatSamplesMiss:
         return abs(found[-1] / truth[-1] - 1), truth[-1] / truth.sum()
 
     @pytest.mark.parametrize(
-        ("x", "y", "radius_m"), [(14.12, -1.68, 0.05), (14.9, -0.14, 0.04), (14.79, 3.54, 0.04)]
+        ("x", "y", "radius_m"),
+        [
+            (14.12, -1.68, 0.05),
+            *(pytest.param(*at, marks=pytest.mark.slow) for at in ((14.9, -0.14, 0.04), (14.79, 3.54, 0.04))),
+        ],
     )
     def test_a_ball_on_a_floor_is_not_hidden_by_what_is_nearer_of_the_floor(self, x, y, radius_m):
         floor = sg.Body("floor", trimesh.creation.box((100, 100, 1)), sg.pose(0, 0, -2.5), "mud")
@@ -676,7 +681,8 @@ class TestBodiesThatSamplesMiss:
         assert share > 0.01 and error < self.LIMIT
 
     @pytest.mark.parametrize(
-        ("depth_m", "x", "y", "radius_m"), [(7.85, 0.04, 0.89, 0.028), (9.33, 0.89, 3.51, 0.029)]
+        ("depth_m", "x", "y", "radius_m"),
+        [(7.85, 0.04, 0.89, 0.028), pytest.param(9.33, 0.89, 3.51, 0.029, marks=pytest.mark.slow)],
     )
     def test_a_pebble_below_a_sonar_that_looks_down_is_seen(self, depth_m, x, y, radius_m):
         """It is less than a hundredth of the range high, and was taken for the floor."""
@@ -688,7 +694,14 @@ class TestBodiesThatSamplesMiss:
         assert share > 1e-3 and error < self.LIMIT
 
     @pytest.mark.parametrize(
-        ("material", "y", "radius_m"), [("glass", 0.5, 0.15), ("glass", -2.0, 0.3), ("steel", 2.0, 0.1)]
+        ("material", "y", "radius_m"),
+        [
+            ("glass", 0.5, 0.15),
+            *(
+                pytest.param(*one, marks=pytest.mark.slow)
+                for one in (("glass", -2.0, 0.3), ("steel", 2.0, 0.1))
+            ),
+        ],
     )
     def test_the_glint_of_a_round_body_is_met(self, material, y, radius_m):
         wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(18), "sand")

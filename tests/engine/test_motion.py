@@ -70,6 +70,7 @@ def test_range_and_bearing_against_pings_from_the_pose_of_reception(yaw):
         assert still[1] - got[1] > 6e-3
 
 
+@pytest.mark.slow
 def test_a_scene_against_pings_from_the_poses_of_reception():
     """Each bin is compared with a ping from the sonar's pose at its time of arrival; yaw only."""
     scene, sonar = sg.load_scene("pylon"), replace(SONAR, n_bins=60)

@@ -71,6 +71,7 @@ def test_no_ping_costs_three_times_the_median_of_the_last_hundred(monkeypatch):
     assert (estimates > TOLERANCE).any() and (estimates[rows == rows.max()] <= TOLERANCE).any()
 
 
+@pytest.mark.slow
 def test_without_that_limit_single_pings_stall(monkeypatch):
     monkeypatch.setattr(adaptive, "MOST_COST", math.inf)
     assert worst_of(swim(monkeypatch)[0][1:]) > 5

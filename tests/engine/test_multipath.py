@@ -209,6 +209,7 @@ def test_multipath_agrees_with_ray_casting(perfect, name):
     assert np.abs(straight - truth).sum() > 0.1 * truth.sum()
 
 
+@pytest.mark.slow
 def test_multipath_has_the_two_way_beam_pattern(perfect):
     scene, pose, reflectors = SCENES["floor, rolled and pitched"]
     perfect(*reflectors)

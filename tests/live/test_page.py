@@ -184,6 +184,7 @@ def test_sonar_moves_while_a_key_is_held(viewer):
     wait_until_still(session)  # the page learns of a released key later; the next test has another start
 
 
+@pytest.mark.slow
 def test_keys_that_are_typed_move_nothing(viewer):
     start = viewer.session.pose
     field = control(viewer.tab, "speed, m/s")
@@ -207,6 +208,7 @@ def test_a_control_changes_the_settings(viewer):
     wait_for(lambda: control(viewer.tab, "range, m").input_value() == "22")
 
 
+@pytest.mark.slow
 def test_a_slider_is_moved_by_keys(viewer):
     thumb = viewer.tab.locator('[role=slider][aria-valuenow="22"]').first  # of the range
     thumb.focus()
@@ -224,6 +226,7 @@ def choose(tab, label, option):
     tab.get_by_role("option", name=option, exact=True).click()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("typed", ["", "-"])
 def test_a_number_that_is_emptied_comes_back_and_changes_nothing(viewer, typed):
     before, field = viewer.session.settings, control(viewer.tab, "range, m")
@@ -267,6 +270,7 @@ def test_a_narrow_picture_stands_in_the_middle_of_its_panel(viewer, narrow):
     assert (left + right) / 2 == pytest.approx(panel["x"] + panel["width"] / 2, abs=1.0)  # a pixel
 
 
+@pytest.mark.slow
 def test_marks_lie_over_the_picture_and_can_be_switched_off(viewer, narrow):
     tab, layer = viewer.tab, f"{PICTURE} + .sonar-marks"
     wait_for(lambda: box_of(tab, layer) == pytest.approx(box_of(tab, PICTURE), abs=1.0))  # a pixel
@@ -596,6 +600,7 @@ def session(tmp_path):
         yield session
 
 
+@pytest.mark.slow
 def test_a_session_does_not_ping_for_a_page_that_nobody_sees(session):
     with ViewerPage(session, port=0):
         first = session.frame.number

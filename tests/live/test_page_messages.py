@@ -287,7 +287,13 @@ def test_the_page_itself_and_programs_are_served(page):
 
 
 @pytest.mark.filterwarnings("ignore:.*does not match annotation")  # by viser
-@pytest.mark.parametrize("place", [([1.0, 0.0], [0.0, 0.0, 0.0]), ([1.0, 0.0, 0.0, 0.0], [0.0]), ([], [])])
+@pytest.mark.parametrize(
+    "place",
+    [
+        ([1.0, 0.0], [0.0, 0.0, 0.0]),
+        *(pytest.param(at, marks=pytest.mark.slow) for at in (([1.0, 0.0, 0.0, 0.0], [0.0]), ([], []))),
+    ],
+)
 def test_numbers_that_are_no_pose_are_refused(session, browser, place):
     start = position(session)
     browser.drag("/move_sonar", *place)

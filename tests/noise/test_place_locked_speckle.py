@@ -121,7 +121,13 @@ def test_beams_between_nodes_are_those_that_are_summed_themselves():
     assert 0 < error < 2 * 10**-5.8
 
 
-@pytest.mark.parametrize("where", [pose(), pose(0.2, 0.2), pose(0.2, -0.15, yaw=0.3), pose(0.25, 0.25)])
+@pytest.mark.parametrize(
+    "where",
+    [
+        pose(0.2, -0.15, yaw=0.3),
+        *(pytest.param(at, marks=pytest.mark.slow) for at in (pose(), pose(0.2, 0.2), pose(0.25, 0.25))),
+    ],
+)
 def test_no_beam_is_brighter_than_others(where):
     """Also those between nodes whose patterns lie apart by a bin and more, off the middle of a cell of the sea."""
     azimuth_rad = tuple(np.radians(np.linspace(-60, 60, 512)))
@@ -229,7 +235,9 @@ def test_moving_ahead_by_half_a_bin_interpolates():
 
 
 @pytest.mark.parametrize("moved_bins", [0.0, 0.25, 0.5, 0.8])
-@pytest.mark.parametrize("bins_per_null", [1.0, 1.36, 2.0, 3.0])
+@pytest.mark.parametrize(
+    "bins_per_null", [1.36, *(pytest.param(n, marks=pytest.mark.slow) for n in (1.0, 2.0, 3.0))]
+)
 @pytest.mark.parametrize("taper", ["hamming", "uniform"])
 def test_bins_longer_than_the_pulse_correlate_as_it_does_wherever_the_sonar_is(
     taper, bins_per_null, moved_bins

@@ -58,6 +58,7 @@ def test_it_is_self_noise_and_of_sonars_that_state_it():
         sg.load_sonar("p900-45,ring_down_db=0,ring_down_decay_db_m=0")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:no echo came back")
 @pytest.mark.usefixtures("timed_once")
 def test_plan_prices_it_with_the_receiver_noise():

@@ -53,6 +53,7 @@ def numbers_in_cells(sonar, density_m3=FEW_M3) -> np.ndarray:
     return density_m3 * sonar.range_m**2 * BIN_M * beam_angle_rad * height
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bandwidth_hz", [pytest.param(None, marks=pytest.mark.slow), 30e3])
 def test_moments_of_a_box_are_those_of_campbells_theorem(bandwidth_hz):
     """Mean 1, and mean square 2 + η: η = (∫A⁴ / ∫A²) Σ w⁴ over the number in a cell."""
@@ -138,6 +139,7 @@ def test_many_are_speckle(noise):
     assert correlation(found[:, :-1], found[:, 1:]) == pytest.approx(np.sinc(apart) ** 2, abs=0.015)
 
 
+@pytest.mark.slow
 def test_neighbouring_beams_correlate_as_their_fields_where_there_are_some():
     """cov |s|² = |ρ|² + η(apart): the second term is that of single echoes, which two beams share."""
     ping = ping_of_water()

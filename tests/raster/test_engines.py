@@ -211,8 +211,14 @@ def worlds():
     yield "both", [both, ball("b", sg.pose(7, 2)), floor()], SONAR, np.eye(4)
 
 
+SLOW_WORLDS = "rolled", "full circle", "away", "hills"
+
+
 @pytest.mark.usefixtures("driver")
-@pytest.mark.parametrize("bodies, sonar, pose", [pytest.param(*w[1:], id=w[0]) for w in worlds()])
+@pytest.mark.parametrize(
+    "bodies, sonar, pose",
+    [pytest.param(*w[1:], id=w[0], marks=pytest.mark.slow if w[0] in SLOW_WORLDS else ()) for w in worlds()],
+)
 def test_hard_cases(monkeypatch, bodies, sonar, pose):
     # no coarser levels, whose edges are not those of the mesh
     monkeypatch.setattr(detail, "MIN_FACES_TO_SIMPLIFY", 10**9)

@@ -138,6 +138,7 @@ def test_a_slow_transport_makes_messages_late_not_a_burst(connect):
     assert found.worst_publish_s >= 0.05
 
 
+@pytest.mark.slow
 def test_the_pings_of_a_publisher_arrive(connect):
     connect()
     found = soak("faulty", 0.5, 4.0, "publisher")

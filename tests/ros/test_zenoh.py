@@ -242,6 +242,7 @@ def test_a_forked_process_leaves_its_parents_transport_alone(router, transports)
     transport.publish(topic, b"image", 0)
 
 
+@pytest.mark.slow
 def test_each_publisher_has_a_gid_of_its_own(peer, transports):
     first, second = image_topic(), topic_of("/clock", "rosgraph_msgs/msg/Clock")
     transport, other = transports(), transports(node="other")
@@ -283,6 +284,7 @@ def test_a_late_program_receives_the_last_message_of_a_latched_topic(port, route
     assert received == [b"last"]
 
 
+@pytest.mark.slow
 def test_a_topic_that_is_not_latched_keeps_nothing_for_late_programs(port, router, transports):
     topic, received = image_topic(), []
     transport = transports()
@@ -292,6 +294,7 @@ def test_a_topic_that_is_not_latched_keeps_nothing_for_late_programs(port, route
     assert set(received) == {b"later"}
 
 
+@pytest.mark.slow
 def test_a_topic_does_not_wait_for_another_one(router, transports, monkeypatch):
     """As /clock for a ping that the network takes in slowly."""
     transport, holds, is_free = transports(), threading.Event(), threading.Event()
@@ -338,6 +341,7 @@ def test_messages_of_other_programs_arrive_and_ones_own_do_not(peer, router, tra
     assert not received
 
 
+@pytest.mark.slow
 def test_a_subscription_is_withdrawn(peer, router, transports):
     topic, ended, kept, transport = topic_of("/odom", "nav_msgs/msg/Odometry"), [], [], transports()
     before = set(threading.enumerate())
@@ -356,6 +360,7 @@ def test_a_subscription_is_withdrawn(peer, router, transports):
     other()
 
 
+@pytest.mark.slow
 def test_a_reader_that_raises_does_not_end_the_messages(peer, router, transports, caplog):
     topic, received = topic_of("/odom", "nav_msgs/msg/Odometry"), []
 
@@ -415,6 +420,7 @@ def test_bytes_that_are_no_zenoh_stall_nothing(peer, router, transports):
     kept.undeclare()
 
 
+@pytest.mark.slow
 def test_it_listens_at_127_0_0_1_only(router, transports):
     before = listening_ports()
     transports()
@@ -470,12 +476,14 @@ def test_without_a_router_at_the_start_it_warns_and_waits(port, transports):
     assert set(received) == {b"found"}
 
 
+@pytest.mark.slow
 def test_there_is_no_warning_with_a_router(router, transports):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         transports()
 
 
+@pytest.mark.slow
 def test_a_warning_that_is_an_error_leaves_no_session(port, monkeypatch):
     really_open, opened = zenoh.open, []
 
@@ -512,6 +520,7 @@ def test_a_router_of_another_machine_must_answer(port, transports, monkeypatch):
 # ---- the end ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_closed_transport_leaves_nothing(router, transports):
     topic = image_topic()
     before_ports, before = listening_ports(), set(threading.enumerate())
