@@ -367,5 +367,11 @@ def _steered_power(pattern: ArrayPattern, azimuth_rad, steer_azimuth_rad, steere
     """Return the power of a steered array, 0 behind it."""
     azimuth, steer = (np.asarray(a, np.float64) for a in (azimuth_rad, steer_azimuth_rad))
     if steered == "straight":
-        return np.where(np.cos(azimuth) > 0, pattern.power(np.sin(azimuth) - np.sin(steer)) + floor, 0.0)
-    return np.where(np.cos(azimuth - steer) > 0, pattern.power(np.sin(azimuth - steer)) + floor, 0.0)
+        off_array, sine = azimuth, np.sin(azimuth) - np.sin(steer)
+    else:
+        off_array = azimuth - steer
+        sine = np.sin(off_array)
+    power = pattern.power(sine) + floor
+    if np.abs(off_array).max(initial=0) < math.pi / 2:  # all in front: a cosine takes as long as the pattern
+        return power
+    return np.where(np.cos(off_array) > 0, power, 0.0)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.beam_pattern import SUPPORT_NULL
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.labels import Labeller, Labels, bins_of_bodies
@@ -35,6 +36,11 @@ ELEVATIONS = 8193
 CONES, AROUND = 129, 1024
 # Where the main lobe in elevation is lower than this, the table and the places around cones are finer in proportion.
 LOW_LOBE_DEG = 1.0
+# Nodes of Gauss' rule for the mean of a beam pattern over a column, by the column's width in quarters of the pattern's
+# support, nulls of a line array: it errs by 4e-8 of the peak, less than weights in float32. For the mean of e^{2πix}
+# over w it is (πw)^2n 2^2n n!^4 / ((2n + 1) (2n)!^3).
+# Source: Davis, Rabinowitz, Methods of Numerical Integration, 2nd ed., 1984, section 2.7
+GAUSS_NODES = (0.1, 3), (0.25, 4), (0.5, 5), (math.inf, 8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +148,9 @@ def beam_weights(
     if not whole_columns:
         low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
     received = high - low
-    nodes, node_weights = np.polynomial.legendre.leggauss(8)
+    in_nulls = np.diff(fan.column_edges_rad).max() / (reach_rad / SUPPORT_NULL)
+    n_nodes = next(count for widest, count in GAUSS_NODES if in_nulls <= widest)
+    nodes, node_weights = np.polynomial.legendre.leggauss(n_nodes)
     steer, power = axes[:, None, None], 1.0
     azimuths = steer + low[..., None] + received[..., None] * (nodes + 1) / 2
     if pattern is not None:

@@ -9,6 +9,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import ArrayPattern
+from sonar_gl.beamform import beamformer
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
@@ -35,8 +36,8 @@ DEVICES = {
 def fan_and_weights(sonar, acoustics) -> tuple[Fan, np.ndarray]:
     """Return the fan, and (B, columns) what each beam receives of columns that hold 1, each in a bin of its own."""
     workspace = Workspace()
-    beamformer = make_beamformer(sonar, acoustics, sg.Sampling(1, 16), workspace=workspace)
-    fan = beamformer.fan
+    former = make_beamformer(sonar, acoustics, sg.Sampling(1, 16), workspace=workspace)
+    fan = former.fan
     columns = workspace.column_sums(fan.n_columns, sonar.n_bins)
     n_columns, n_bins = columns.sums.shape
     out = np.empty((fan.sonar.n_beams, n_columns))
@@ -45,7 +46,7 @@ def fan_and_weights(sonar, acoustics) -> tuple[Fan, np.ndarray]:
         columns.sums[:], columns.spans[:] = 0, (n_bins, 0)
         columns.sums[begin + k, k] = 1
         columns.spans[begin + k] = np.column_stack([k, k + 1])
-        out[:, begin + k] = beamformer.weigh(np.empty(0, np.float32)).intensity[:, k]
+        out[:, begin + k] = former.weigh(np.empty(0, np.float32)).intensity[:, k]
     return fan, out
 
 
@@ -96,13 +97,31 @@ def test_beams_weigh_all_columns_by_the_pattern(name):
     assert error[beyond].max(initial=0) < TOLERANCE + 0.02
 
 
+@pytest.mark.parametrize("name", ["uniform", "taylor", "straight", "transmit beam"])
+def test_few_nodes_give_the_means_of_columns_to_the_last_bit_of_float32(name, monkeypatch):
+    """Two nodes would not."""
+    sonar, acoustics = DEVICES[name], replace(PHYSICAL, far_side_lobes=False)
+    fan = make_beamformer(sonar, acoustics, sg.Sampling(1, 16)).fan
+    reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
+    transmit = acoustics.transmit_pattern(sonar)
+
+    def weights(*n_nodes):
+        if n_nodes:
+            monkeypatch.setattr(beamformer, "GAUSS_NODES", ((math.inf, *n_nodes),))
+        return beamformer.beam_weights(fan, pattern, reach, transmit).weights.astype(float)
+
+    found, exact, too_few = weights(), weights(16), weights(2)
+    last_bit = np.finfo(np.float32).eps * exact.max()
+    assert np.abs(found - exact).max() <= last_bit < np.abs(too_few - exact).max()
+
+
 @pytest.mark.parametrize(
     "name", [name for name, sonar in DEVICES.items() if sonar.transmit_width_deg is None]
 )
 def test_a_wall_all_round_has_the_level_1_in_all_beams(name):
-    beamformer = make_beamformer(DEVICES[name], PHYSICAL, sg.Sampling(1, 16))
+    former = make_beamformer(DEVICES[name], PHYSICAL, sg.Sampling(1, 16))
     # float32 sums of some hundred columns
-    np.testing.assert_allclose(beamformer.even_response, 1, rtol=1e-6)
+    np.testing.assert_allclose(former.even_response, 1, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", presets())
