@@ -124,7 +124,11 @@ def test_there_is_something_to_check():
 @pytest.mark.filterwarnings("error::UserWarning")
 @pytest.mark.parametrize(
     "code",
-    [p for p in [*blocks("python"), *blocks("python", [ROS2])] if not CLIENTS.search(p.values[0])],
+    [
+        pytest.param(*p.values, id=p.id, marks=() if p.id.startswith("README") else pytest.mark.slow)
+        for p in [*blocks("python"), *blocks("python", [ROS2])]
+        if not CLIENTS.search(p.values[0])
+    ],
 )
 def test_python_examples_run(code):
     if "DdsTransport" in code:

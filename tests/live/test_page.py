@@ -22,6 +22,8 @@ from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.scene_nodes import GIZMO_PIXELS
 from tests.support.browser import COUNT_PICTURES, MissingBrowserError, open_browser
 
+pytestmark = pytest.mark.slow  # as a browser by software is; .ci/run runs them
+
 viser = pytest.importorskip("viser", reason="viser, of the extra live, is missing")
 
 PICTURE = 'img[src^="blob:"]'
@@ -184,7 +186,6 @@ def test_sonar_moves_while_a_key_is_held(viewer):
     wait_until_still(session)  # the page learns of a released key later; the next test has another start
 
 
-@pytest.mark.slow
 def test_keys_that_are_typed_move_nothing(viewer):
     start = viewer.session.pose
     field = control(viewer.tab, "speed, m/s")
@@ -208,7 +209,6 @@ def test_a_control_changes_the_settings(viewer):
     wait_for(lambda: control(viewer.tab, "range, m").input_value() == "22")
 
 
-@pytest.mark.slow
 def test_a_slider_is_moved_by_keys(viewer):
     thumb = viewer.tab.locator('[role=slider][aria-valuenow="22"]').first  # of the range
     thumb.focus()
@@ -226,7 +226,6 @@ def choose(tab, label, option):
     tab.get_by_role("option", name=option, exact=True).click()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("typed", ["", "-"])
 def test_a_number_that_is_emptied_comes_back_and_changes_nothing(viewer, typed):
     before, field = viewer.session.settings, control(viewer.tab, "range, m")
@@ -270,7 +269,6 @@ def test_a_narrow_picture_stands_in_the_middle_of_its_panel(viewer, narrow):
     assert (left + right) / 2 == pytest.approx(panel["x"] + panel["width"] / 2, abs=1.0)  # a pixel
 
 
-@pytest.mark.slow
 def test_marks_lie_over_the_picture_and_can_be_switched_off(viewer, narrow):
     tab, layer = viewer.tab, f"{PICTURE} + .sonar-marks"
     wait_for(lambda: box_of(tab, layer) == pytest.approx(box_of(tab, PICTURE), abs=1.0))  # a pixel
@@ -297,7 +295,6 @@ def test_numbers_are_in_sight_in_a_small_window(viewer, size):
         tab.set_viewport_size(SIZE)
 
 
-@pytest.mark.slow
 def test_a_phone_shows_the_picture_before_the_controls(viewer):
     phone = viewer.browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True)
     phone.goto(viewer.page.url)
@@ -312,7 +309,6 @@ def test_a_phone_shows_the_picture_before_the_controls(viewer):
     viewer.page.marked = None  # by the tap
 
 
-@pytest.mark.slow
 def test_two_browsers_show_and_change_the_same(viewer):
     first, session = viewer.tab, viewer.session
     second = viewer.browser.new_page(viewport=SIZE)
@@ -335,7 +331,6 @@ def test_two_browsers_show_and_change_the_same(viewer):
     second.close()
 
 
-@pytest.mark.slow
 def test_noise_water_and_engine_are_those_of_the_next_pings(viewer):
     session, tab = viewer.session, viewer.tab
     before = session.settings
@@ -364,7 +359,6 @@ def test_noise_water_and_engine_are_those_of_the_next_pings(viewer):
     wait_for(lambda: control(tab, "engine").input_value() == "cpu")
 
 
-@pytest.mark.slow
 def test_a_sonar_of_ones_own_is_offered_beside_the_presets(viewer, tmp_path):
     session, tab, given = viewer.session, viewer.tab, viewer.session.settings.sonar
     dropdown = control(tab, "sonar")
@@ -415,7 +409,6 @@ def test_a_click_marks_the_surface_of_the_bin(viewer):
     assert distances.max() - distances.min() < 3 * bin_m  # a bin, and a footprint on either side
 
 
-@pytest.mark.slow
 def test_a_selected_body_stands_out(viewer):
     select = control(viewer.tab, "selected")
     viewer.tab.get_by_text("Bodies", exact=True).click()
@@ -456,7 +449,6 @@ def gizmo_length_m(viewer, point):
     return GIZMO_PIXELS * depth_m * 2 * math.tan(camera.fov / 2) / height
 
 
-@pytest.mark.slow
 def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
     session, mouse, tab = viewer.session, viewer.tab.mouse, viewer.tab
     home, up = session.bodies()["pylon_square"], np.array([0.0, 0.0, 1.0])
@@ -486,7 +478,6 @@ def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
     wait_until_drawn(tab)  # the next test clicks where this camera draws
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 2])  # the first is below the picture
 def test_the_gizmo_drags_the_sonar(viewer, axis):
     session, mouse = viewer.session, viewer.tab.mouse
@@ -510,7 +501,6 @@ def test_the_gizmo_drags_the_sonar(viewer, axis):
     assert moved - (moved @ along) * along == pytest.approx(np.zeros(3), abs=1e-3)
 
 
-@pytest.mark.slow
 def test_files_are_written_into_the_folder(viewer):
     tab, folder = viewer.tab, viewer.folder
     tab.get_by_role("button", name="Record", exact=True).click()
@@ -525,7 +515,6 @@ def test_files_are_written_into_the_folder(viewer):
     tab.get_by_text("Pose added").wait_for(timeout=1000 * WAIT_S)
 
 
-@pytest.mark.slow
 def test_the_command_line_can_be_copied(viewer):
     viewer.tab.get_by_role("button", name="Command line").click()
     field = viewer.tab.locator("textarea:visible").first
@@ -538,7 +527,6 @@ def test_the_command_line_can_be_copied(viewer):
     wait_for(lambda: not field.is_visible())
 
 
-@pytest.mark.slow
 def test_what_fails_is_told_and_the_page_goes_on(viewer):
     job = viewer.folder / "poses.toml"
     job.parent.mkdir(exist_ok=True)
@@ -552,7 +540,6 @@ def test_what_fails_is_told_and_the_page_goes_on(viewer):
     new_pictures(viewer.tab)
 
 
-@pytest.mark.slow
 def test_a_browser_that_closes_stops_no_other(viewer):
     second = viewer.browser.new_page(viewport=SIZE)
     second.add_init_script(COUNT_PICTURES)
@@ -564,7 +551,6 @@ def test_a_browser_that_closes_stops_no_other(viewer):
     new_pictures(viewer.tab)
 
 
-@pytest.mark.slow
 def test_the_camera_carries_the_sonar(viewer):
     session, tab = viewer.session, viewer.tab
     mover = control(tab, "moved by")
@@ -600,7 +586,6 @@ def session(tmp_path):
         yield session
 
 
-@pytest.mark.slow
 def test_a_session_does_not_ping_for_a_page_that_nobody_sees(session):
     with ViewerPage(session, port=0):
         first = session.frame.number
