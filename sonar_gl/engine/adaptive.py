@@ -74,15 +74,13 @@ class Choice:
 
     Attributes
     ----------
-    resolution : of the last ping, or of the first to come
-    level : its sampling level
+    level : sampling level of the last ping, or of the first to come
     plan : the Plan behind it; None before the first ping
     check : the LastCheck; None before the first ping
     planned_poses : bytes of the poses for which the samples are fixed; None while they are chosen ping by ping
     is_due : the error is to be estimated as soon as that costs no more than a ping may
     """
 
-    resolution: Resolution
     level: int
     plan: Plan | None = None
     check: LastCheck | None = None
@@ -97,7 +95,7 @@ class PingHistory(NamedTuple):
     ----------
     number : how many
     pose, state : of the last one; None before the first
-    costs : of the last RECENT of them, in samples
+    costs : of the last RECENT of them, in samples; empty where the last one is still to choose its samples, alone
     """
 
     number: int = 0
@@ -153,10 +151,17 @@ class Sampler(Protocol):
     def fix(self, setups: Sequence[PingSetup]) -> Plan | None:
         """Choose samples for all of some pings, and stay with them."""
 
-    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView | None:
-        """Return a view of a ping with samples chosen from it alone, or None if it has those of the pings before.
+    def is_apart(self, setup: PingSetup) -> bool:
+        """Return whether the samples of a ping to come are chosen from it alone."""
 
-        further : states of which views are drawn along
+    def register_apart(self, setup: PingSetup) -> None:
+        """Add a ping to the history whose samples are being chosen from it alone, by this sampler or another one."""
+
+    def follow(self, setup: PingSetup, plan: Plan, total: float, number: int) -> None:
+        """Have later pings follow samples that were chosen from a ping alone.
+
+        total : the sum of its echo
+        number : of the ping in the history, to which it is added if it was not registered
         """
 
     def error_estimate(self, pose) -> float | None:
@@ -193,8 +198,9 @@ class FixedSampling:
     def fix(self, setups: Sequence[PingSetup]) -> None:
         """Return None: the samples are fixed."""
 
-    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> None:
-        """Return None: the samples are fixed."""
+    def is_apart(self, setup: PingSetup) -> bool:
+        """Return False."""
+        return False
 
     def error_estimate(self, pose) -> None:
         """Return None: there is no estimate."""
@@ -221,21 +227,24 @@ class AdaptiveSampling:
         self._guess = min(typical_level(self.tolerance), self._model.finest)
         self._first = max(self._guess, level_of(self._sonar, FIRST_SAMPLES))
         self._trigger, self._has_warned = ReplanTrigger(self._sonar, self._model.greatest_backscatter), False
-        self.choice, self.history = Choice(self._resolution_at(self._guess), self._guess), PingHistory()
+        self.choice, self.history = Choice(self._guess), PingHistory()
+        self._resolution = None, None  # the last level, and its Resolution
         self._room = 0  # samples of the largest recent ping by itself, whose memory is kept
 
     @property
     def resolution(self) -> Resolution:
         """The resolution of the last ping, or of the first to come."""
-        return self.choice.resolution
+        level = self.choice.level
+        if (
+            self._resolution[0] != level
+        ):  # not with each choice: others may follow before a ping has these samples
+            self._resolution = level, Resolution(self._model.stage_at(level))
+        return self._resolution[1]
 
     @property
     def plan(self) -> Plan | None:
         """The Plan that it follows, None before the first ping."""
         return self.choice.plan
-
-    def _resolution_at(self, level: int) -> Resolution:
-        return Resolution(self._model.stage_at(level))
 
     def resolution_for(self, setup: PingSetup) -> Resolution:
         """Register a ping, and return its samples; those of the first ping keep the tolerance."""
@@ -275,7 +284,7 @@ class AdaptiveSampling:
         # a search has drawn other samples over those of this ping, of which image sources may still be in need
         if choice.is_due or (choice.level == level and not is_searched):
             return None
-        return replace(choice.resolution, is_final=True)
+        return replace(self.resolution, is_final=True)
 
     def _followed(self, choice: Choice, level: int) -> Choice:
         """Return a choice of finer or coarser samples for the next pings, which are to be checked.
@@ -290,7 +299,7 @@ class AdaptiveSampling:
         if level < choice.level:
             self._model.forget_limit()
             self._stages.drop_large()
-        return replace(choice, resolution=self._resolution_at(level), level=level, is_due=True)
+        return replace(choice, level=level, is_due=True)
 
     def _cost(self, level: int, check: bool = False) -> float:
         """Return about what a ping costs, with a check of its error or without, in samples of the whole fan."""
@@ -313,7 +322,7 @@ class AdaptiveSampling:
         if level < 0 or self.choice.planned_poses is not None:
             raise error
         self._model.finest = level
-        self.choice = replace(self.choice, resolution=self._resolution_at(level), level=level, is_due=True)
+        self.choice = replace(self.choice, level=level, is_due=True)
         return replace(self.resolution, check=True)
 
     def has_changed(self, total: float) -> bool:
@@ -336,7 +345,7 @@ class AdaptiveSampling:
             met=all(plan.met for plan in plans),
         )
         poses = frozenset(setup.head_pose.tobytes() for setup in setups)
-        self.choice = Choice(self._resolution_at(level), level, plan, planned_poses=poses)
+        self.choice = Choice(level, plan, planned_poses=poses)
         self._warn_if_unmet(plan)
         return plan
 
@@ -347,34 +356,36 @@ class AdaptiveSampling:
 
     def register(self, setup: PingSetup) -> bool:
         """Add a ping to come to the history; return whether its error is to be estimated."""
-        if self._is_apart(setup):
-            return True
         if self.choice.planned_poses is not None:
             return False
         pose, state, before, check = setup.head_pose, setup.state, self.history, self.choice.check
         cost, number = self._cost(self.choice.level), before.number + 1
         self.history = PingHistory(number, pose, state, (*before.costs[1 - RECENT :], cost))
-        if check is None:
+        if (
+            check is None or not before.costs
+        ):  # the first one, or one that follows a ping that is still to choose
             return True
         is_due = self.choice.is_due or self._trigger.is_due(check, pose, state, number - check.number)
         return is_due and self._can_check()
 
-    def _is_apart(self, setup: PingSetup) -> bool:
-        """Return whether the samples of a ping are chosen from it alone: it asks for that, or is far from the last."""
+    def is_apart(self, setup: PingSetup) -> bool:
+        """Return whether a ping asks to be sampled by itself, or lies far from the last one."""
         if setup.request.alone:
             return True
-        is_first, is_planned = self.choice.check is None, self.choice.planned_poses is not None
-        if is_first or is_planned:
-            return False
-        return self._trigger.is_far(self.history, setup.head_pose, setup.state)
+        is_first, is_planned = not self.history.number, self.choice.planned_poses is not None
+        return not (is_first or is_planned) and self._trigger.is_far(
+            self.history, setup.head_pose, setup.state
+        )
 
-    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView | None:
+    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView:
         """Try finer samples until they keep the tolerance; the last that were tried are those of the ping.
 
-        The choice depends on this ping alone. The next pings follow it, unless this one asked to be by itself.
+        The choice depends on this ping alone.
+
+        Parameters
+        ----------
+        further : states of which views are drawn along
         """
-        if not self._is_apart(setup):
-            return None
         level, model, before = self._first, self._model, None
         model.forget_limit()
         while True:
@@ -395,16 +406,24 @@ class AdaptiveSampling:
             self._stages.drop_large()
             self._room = 0
         self._room = max(self._room, n_samples)
-        plan = judged.plan
+        return ChosenView(tried, judged.plan)
+
+    def register_apart(self, setup: PingSetup) -> None:
+        """Add a ping to the history whose samples are being chosen from it alone."""
+        self.history = PingHistory(self.history.number + 1, setup.head_pose, setup.state)
+
+    def follow(self, setup: PingSetup, plan: Plan, total: float, number: int) -> None:
+        """Have later pings follow samples that were chosen from a ping alone, and warn if these do not suffice.
+
+        If an interrupt comes between, the next ping is chosen alone, too: the choice is replaced before the history.
+        """
         if not setup.request.alone:
-            pose, state, number = setup.head_pose, setup.state, self.history.number + 1
-            check = LastCheck(pose, state, tried.echo.total, number)
-            self.choice = Choice(Resolution(tried.stage), plan.level, plan, check)
-            # after the choice: if an interrupt comes between, the next ping is chosen alone, too
-            costs = (self._cost(plan.level),)  # another place has other costs
-            self.history = PingHistory(number, pose, state, costs)
+            pose, state = setup.head_pose, setup.state
+            self.choice = Choice(plan.level, plan, LastCheck(pose, state, total, number))
+            if number >= self.history.number:  # else later ones were registered meanwhile
+                costs = (plan.n_samples + FIXED_SAMPLES,)  # another place has other costs
+                self.history = PingHistory(number, pose, state, costs)
         self._warn_if_unmet(plan)
-        return ChosenView(tried, plan)
 
     def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
         return LastCheck(setup.head_pose, setup.state, total, self.history.number)
@@ -436,7 +455,7 @@ class AdaptiveSampling:
             level = min(max(level + steps, failed + 1), kept - 1)
             if level <= failed:
                 level = min(kept, model.finest)
-        chosen = Choice(self._resolution_at(level), level, found[level].plan, self._check_of(setup, total))
+        chosen = Choice(level, found[level].plan, self._check_of(setup, total))
         self._stages.drop_large()
         return chosen
 

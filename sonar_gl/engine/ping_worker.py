@@ -6,12 +6,15 @@ from dataclasses import replace
 from threading import Lock
 
 import numba
+import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.worker import Job, JobThread, held
+from sonar_gl.engine.adaptive import AdaptiveSampling
+from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.multipath import HalvingChoice, ImageSources
-from sonar_gl.engine.pipeline import draw, receive
+from sonar_gl.engine.pipeline import draw, receive, sample_apart
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import IN_USE
 from sonar_gl.raster.engine import RasterEngine
@@ -35,6 +38,7 @@ class PingWorker:
     Parameters
     ----------
     engine, sonar, acoustics, scene, tolerance : of the run
+    gain : (K,) of the sonar's bins
     most_samples : of a view
     """
 
@@ -45,12 +49,14 @@ class PingWorker:
         acoustics: Acoustics,
         scene: Scene,
         tolerance: float,
+        gain: np.ndarray,
         most_samples: int,
     ):
         self._stages, self._images = StageCache(engine, sonar, acoustics, most_samples=most_samples), None
         if acoustics.multipath != "none":
             self._images = ImageSources(self._stages, None, scene, tolerance)
         self._sampling = None
+        self._sampler, self._tolerance, self._gain = None, tolerance, gain
         self._thread, self._making = JobThread(NAME), Lock()
 
     def job(
@@ -66,9 +72,7 @@ class PingWorker:
 
         def make() -> list[ReceivedPing]:
             with held(self._making):  # a caller that settles the job runs it, perhaps beside this thread
-                if self._images is not None:
-                    self._images.use_scene(scene)
-                    self._images.fix(choice.halvings)
+                self._use_images(choice, scene)
                 if resolution.stage.sampling != self._sampling:
                     self._stages.drop_large()  # of finer samples
                     self._sampling = resolution.stage.sampling
@@ -76,6 +80,27 @@ class PingWorker:
                 return [receive(one) for one in draw(self._images, [setup], own)]
 
         return Job(make, IN_USE)
+
+    def job_apart(self, setup: PingSetup, choice: HalvingChoice | None, scene: Scene) -> Job:
+        """Return a job that makes one ping with samples chosen from it alone; its answer is that of `sample_apart`.
+
+        choice : as of `job`
+        """
+
+        def make() -> tuple[ReceivedPing, Plan]:
+            with held(self._making):
+                self._use_images(choice, scene)
+                if self._sampler is None:
+                    self._sampler = AdaptiveSampling(self._stages, self._tolerance, self._gain)
+                return sample_apart(self._sampler.choose, self._images, setup)
+
+        return Job(make, IN_USE)
+
+    def _use_images(self, choice: HalvingChoice | None, scene: Scene) -> None:
+        """Have image sources sampled as the run has them."""
+        if self._images is not None:
+            self._images.use_scene(scene)
+            self._images.fix(choice.halvings)
 
     def submit(self, job: Job) -> None:
         """Have the thread do a job."""

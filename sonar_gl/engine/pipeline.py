@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +18,8 @@ from sonar_gl.beamform.water_surface import water_surface
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
+from sonar_gl.engine.adaptive import ChosenView
+from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import DrawnPing, FurtherViews, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
@@ -41,18 +43,22 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping, again until its samples keep the tolerance. Inside `drawing`."""
     setup = run.with_later_bodies(setup)
-    received = sample_alone(run, setup)
-    resolution = run.sampler.resolution_for(setup) if received is None else run.review(received)
+    if run.sampler.is_apart(setup):
+        received, plan = sample_apart(run.sampler.choose, run.image_sources_for([setup]), setup)
+        run.sampler.follow(setup, plan, received.direct.total, run.sampler.history.number + 1)
+        resolution = run.review(received)
+    else:
+        received, resolution = None, run.sampler.resolution_for(setup)
     while resolution is not None:
         if resolution.finer_images and received is not None:
-            sources = run.image_sources_for(resolution, [setup])
+            sources = run.image_sources_for([setup], finer=True)
             coarser = received.drawn.images
             (images,) = draw_images(sources, resolution, [received.drawn.view], [setup], coarser)
             drawn = replace(received.drawn, resolution=resolution, images=images)
             received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
         else:
             try:
-                (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
+                (drawn,) = draw(run.image_sources_for([setup], resolution.finer_images), [setup], resolution)
             except SampleLimitError as error:
                 resolution = run.sampler.coarser(error)
                 continue
@@ -61,17 +67,19 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     return received
 
 
-def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
-    """Draw and receive a ping with samples chosen from it alone; None if it has those of the pings before."""
+def sample_apart(
+    choose: Callable[..., ChosenView], sources: ImageSources | None, setup: PingSetup
+) -> tuple[ReceivedPing, Plan]:
+    """Draw and receive a ping with samples chosen from it alone; return the Plan behind them, too.
+
+    choose : of an AdaptiveSampling
+    """
     further = further_states(setup)
-    chosen = run.sampler.choose(setup, further.needed)
-    if chosen is None:
-        return None
-    tried, plan = chosen
+    tried, plan = choose(setup, further.needed)
     resolution = Resolution(tried.stage, is_final=True, error_estimate=plan.bound)
-    (images,) = draw_images(run.image_sources_for(resolution, [setup]), resolution, [tried.view], [setup])
+    (images,) = draw_images(sources, resolution, [tried.view], [setup])
     drawn = DrawnPing(setup, resolution, tried.view, images, further.drawn(iter(tried.further)))
-    return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
+    return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies)), plan
 
 
 def draw(

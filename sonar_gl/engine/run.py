@@ -175,11 +175,14 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
-    def image_sources_for(self, resolution: Resolution, setups: Sequence[PingSetup]) -> ImageSources | None:
-        """Return the image sources, ready to draw those of some pings; None without multipath."""
+    def image_sources_for(self, setups: Sequence[PingSetup], finer: bool = False) -> ImageSources | None:
+        """Return the image sources, ready to draw those of some pings; None without multipath.
+
+        finer : they are drawn once more, with the samples that were chosen for them
+        """
         if self.image_sources is not None:
             self.image_sources.use_scene(self.world.scene)
-            if not resolution.finer_images:
+            if not finer:
                 self._reset_images(any(setup.request.alone for setup in setups))
         return self.image_sources
 
@@ -204,7 +207,7 @@ class Run:
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance."""
         resolution = self.sampler.review(received)
-        if resolution is None and self._review_images(received):
+        if resolution is None and self.review_images(received):
             return replace(received.drawn.resolution, is_final=True, finer_images=True)
         return resolution
 
@@ -213,10 +216,10 @@ class Run:
         return (
             choice is not self.sampler.choice  # chosen after this ping was drawn
             or self.sampler.has_changed(received.direct.total)
-            or self._review_images(received)
+            or self.review_images(received)
         )
 
-    def _review_images(self, received: ReceivedPing) -> bool:
+    def review_images(self, received: ReceivedPing) -> bool:
         """Return whether the image sources of a ping are to be drawn finer."""
         images = self.image_sources
         made_of = received.drawn.images, received.multipath, received.direct

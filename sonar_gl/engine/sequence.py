@@ -119,11 +119,20 @@ class _QueuedPing(NamedTuple):
 
 
 class _Started(NamedTuple):
-    """Pings that another thread makes: the job, the pings, and the sampler's `choice` by which they are made."""
+    """Pings that another thread makes.
+
+    Attributes
+    ----------
+    job : answers a list of their ReceivedPings; or what `sample_apart` does
+    pings : of the job
+    choice : of the sampler, by which they are made
+    is_apart : the samples of its only ping are chosen from it alone
+    """
 
     job: Job
     pings: list[_QueuedPing]
     choice: object
+    is_apart: bool = False
 
 
 class _Upcoming:
@@ -160,13 +169,32 @@ class _Upcoming:
                 self.failure, self._is_over = why, True
         return bool(self._setups)
 
+    def next_apart(self) -> _QueuedPing | None:
+        """Return the next ping if its samples are chosen from it alone, since it lies far from the last; else None.
+
+        One whose request asks for that depends on no other ping, nor by its image sources, and is made by itself.
+        """
+        sampler, setup = self._run.sampler, self._run.with_later_bodies(self._setups[0])
+        if setup.request.alone or not sampler.is_apart(setup):
+            return None
+        before = sampler.history
+        sampler.register_apart(setup)
+        self._setups.popleft()
+        return _QueuedPing(setup, before)
+
     def next_batch(self, most: int) -> tuple[list[_QueuedPing], bool]:
-        """Return pings that can be drawn at once, and whether the error of the one after them is to be estimated."""
+        """Return pings that can be drawn at once, and whether the one after them has to wait for those before it.
+
+        So has one whose error is to be estimated, and one that follows a ping that is still to choose its samples.
+        """
         batch, sampler = [], self._run.sampler
-        sectors = sampler.resolution.stage.fan.sectors
-        most = min(most, BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors))
+        if most > 1:
+            sectors = sampler.resolution.stage.fan.sectors
+            most = min(most, BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors))
         while self._setups and len(batch) < max(most, 1):
             setup, before = self._run.with_later_bodies(self._setups[0]), sampler.history
+            if sampler.is_apart(setup):
+                return batch, True
             if sampler.register(setup):
                 sampler.history = before  # it is registered when it is sampled
                 return batch, True
@@ -192,10 +220,11 @@ class _Overlap:
     Attributes
     ----------
     most : pings that are started at once
+    can_choose : its threads can choose the samples of a ping from it alone
     ahead : how many such groups are in flight while the caller waits for one
     """
 
-    most, ahead = BATCH, 1
+    most, ahead, can_choose = BATCH, 1, False
 
     def __init__(self, run: Run):
         self._run, self._thread = run, JobThread("sonar_gl receiver")
@@ -203,7 +232,7 @@ class _Overlap:
     def start(self, setups: list[PingSetup]) -> Job:
         """Draw some pings, and begin to receive them; inside `drawing`."""
         resolution = self._run.sampler.resolution
-        sources = self._run.image_sources_for(resolution, setups)
+        sources = self._run.image_sources_for(setups)
         drawn = draw(sources, setups, resolution, keep_last=True)
         job = self._run.receive_later(lambda: [receive(one) for one in drawn])
         self._thread.submit(job)
@@ -217,23 +246,42 @@ class _Overlap:
 class _Workers:
     """Threads each make their own pings, without a context; attributes as of `_Overlap`."""
 
-    most = 1
+    most, can_choose = 1, True
 
     def __init__(self, run: Run):
         self._run, self._number = run, 0
         sonar, acoustics = run.instrument.sonar, run.instrument.acoustics
         world, most_samples = run.world, run.stages.most_samples
-        made_of = world.engine, sonar, acoustics, world.scene, run.tolerance, most_samples
+        made_of = (
+            world.engine,
+            sonar,
+            acoustics,
+            world.scene,
+            run.tolerance,
+            run.instrument.gain,
+            most_samples,
+        )
         self._workers = run.take_workers(n_threads(), partial(PingWorker, *made_of))
         self.ahead = 2 * len(self._workers) - 1
 
     def start(self, setups: list[PingSetup]) -> Job:
         """Begin to make a ping."""
-        run, worker = self._run, self._workers[self._number % len(self._workers)]
-        (setup,), self._number = setups, self._number + 1
+        run, worker, (setup,) = self._run, self._next(), setups
         job = run.await_job(worker.job(setup, run.sampler.resolution, run.image_choice(), run.world.scene))
         worker.submit(job)
         return job
+
+    def start_apart(self, setup: PingSetup) -> Job:
+        """Begin to make a ping with samples chosen from it alone."""
+        run, worker = self._run, self._next()
+        job = run.await_job(worker.job_apart(setup, run.image_choice(), run.world.scene))
+        worker.submit(job)
+        return job
+
+    def _next(self) -> PingWorker:
+        """Return the workers in turn."""
+        worker, self._number = self._workers[self._number % len(self._workers)], self._number + 1
+        return worker
 
     def close(self) -> None:
         """End the threads; the next sequence goes on with their stages."""
@@ -274,7 +322,11 @@ def _made(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
     try:
         while (is_more := upcoming.fill(threads.most)) or in_flight:
             with run.drawing(beside=[started.job for started in in_flight]):
-                batch, is_alone = upcoming.next_batch(threads.most)
+                apart = upcoming.next_apart() if is_more and threads.can_choose else None
+                if apart is not None:
+                    job = threads.start_apart(apart.setup)
+                    in_flight.append(_Started(job, [apart], run.sampler.choice, is_apart=True))
+                batch, is_alone = ([], False) if apart else upcoming.next_batch(threads.most)
                 try:
                     if batch:
                         job = threads.start([one.setup for one in batch])
@@ -288,20 +340,33 @@ def _made(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
                 yield from _finished(run, in_flight, upcoming)
     finally:
         threads.close()
+        if in_flight and run.sampler is not None:  # nobody has these, so that later pings do not follow them
+            upcoming.put_back([ping for started in in_flight for ping in started.pings])
     if upcoming.failure is not None:
         raise upcoming.failure
 
 
 def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iterator[Ping]:
     """Yield the pings of the job that was started first; if one has to be sampled anew, those after it, too."""
-    started = in_flight.popleft()
+    started, plan = in_flight.popleft(), None
     try:
         received = started.job.result()
+        if started.is_apart:
+            one, plan = received
+            received = [one]
     except SampleLimitError:
         received = [None] * len(started.pings)
     for number, one in enumerate(received):
         with run.world.unchanged():
-            is_good = one is not None and not run.is_outdated(one, started.choice)
+            if one is None:
+                is_good = False
+            elif plan is None:
+                is_good = not run.is_outdated(one, started.choice)
+            else:
+                is_good = not run.review_images(one)
+                if is_good:
+                    setup, before = started.pings[0]
+                    run.sampler.follow(setup, plan, one.direct.total, before.number + 1)
             report = run.report(one) if is_good and one.total > 0 else None
         if not is_good:
             later = [ping for group in in_flight for ping in group.pings]
@@ -327,7 +392,7 @@ def _without_echo(run: Run, setup: PingSetup) -> Ping:
     """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
     with run.drawing():
         resolution = run.sampler.resolution
-        (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
+        (drawn,) = draw(run.image_sources_for([setup]), [setup], resolution)
         received = receive(drawn)
         report = run.report(received)
     return finish(run, received, report)

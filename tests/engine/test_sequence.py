@@ -1,5 +1,6 @@
 """Sequences of pings: identical to single pings, in order, without leaks."""
 
+import math
 import re
 import threading
 import time
@@ -616,3 +617,68 @@ def test_an_iterator_may_go_on_beyond_the_poses(it):
     moved = ({"box": sg.pose(6 + 0.1 * k)} for k in count())
     assert len(list(it.pings(POSES[:3], bodies=moved, times_s=count()))) == 3
     assert next(moved)["box"][0, 3] == pytest.approx(6.3)  # as many were taken as there are poses
+
+
+# ---- pings that lie far from each other ----------------------------------------------------------------
+
+PLACES = [
+    (0, 0, 0.0),
+    (1, 3, 2.0),
+    (-2, 1, -1.5),
+    (-2, 1, -1.49),
+    (2, -3, 0.4),
+    (2, -3, 0.41),
+    (2, -3, 0.42),
+    (0, 0, 3.0),
+]
+FAR_AND_NEAR = [sg.pose(x, y, 0, yaw=yaw) for x, y, yaw in PLACES]
+N_FAR = 4  # but for the first one, whose samples are searched
+
+
+def round_about():
+    """Return a scene with something to see from each of FAR_AND_NEAR, and a floor that mirrors bodies."""
+    balls = [
+        sg.Body(
+            f"ball {k}", trimesh.creation.icosphere(3, 0.6), sg.pose(9 * math.cos(k), 9 * math.sin(k)), 0.8
+        )
+        for k in range(7)
+    ]
+    return sg.Scene(
+        [*balls, sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3), "concrete")]
+    )
+
+
+@pytest.mark.parametrize("labels", [False, True])
+@pytest.mark.parametrize("multipath", ["none", "incoherent"])
+def test_pings_far_from_each_other_are_those_of_single_calls(labels, multipath, monkeypatch):
+    """Threads choose their samples side by side; those near to one of them wait for its choice."""
+    started, job = [], ping_worker.PingWorker.job_apart
+    monkeypatch.setattr(ping_worker.PingWorker, "job_apart", lambda *a: started.append(a) or job(*a))
+    acoustics = sg.Acoustics("ideal", multipath=multipath)
+    runs = []
+    for many in (True, False):
+        with sg.Simulator(round_about(), SONAR, acoustics, tolerance=0.05, engine="cpu") as it:
+            make = (
+                it.pings(FAR_AND_NEAR, labels=labels)
+                if many
+                else (it.ping(p, labels=labels) for p in FAR_AND_NEAR)
+            )
+            runs.append(list(make))
+    assert len(started) >= N_FAR  # more often where image sources are made again
+    for one, other in zip(*runs, strict=True):
+        assert one.intensity.any()
+        check_same(one, other)
+
+
+def test_pings_that_nobody_took_change_no_later_one():
+    """Threads were ahead by some when the sequence was closed; later pings followed one of them, unseen."""
+    with sg.Simulator(round_about(), SONAR, sg.Acoustics.ideal(), tolerance=0.05, engine="cpu") as it:
+        pings = it.pings(FAR_AND_NEAR)
+        next(pings), next(pings)
+        pings.close()
+        assert it.run.sampler.history.number == 2
+        found = [it.ping(pose) for pose in FAR_AND_NEAR[3:5]]
+    with sg.Simulator(round_about(), SONAR, sg.Acoustics.ideal(), tolerance=0.05, engine="cpu") as it:
+        *_, one, other = [it.ping(pose) for pose in (*FAR_AND_NEAR[:2], *FAR_AND_NEAR[3:5])]
+    for ping, expected in zip(found, (one, other), strict=True):
+        check_same(ping, expected)
