@@ -97,20 +97,44 @@ def test_beams_weigh_all_columns_by_the_pattern(name):
     assert error[beyond].max(initial=0) < TOLERANCE + 0.02
 
 
-@pytest.mark.parametrize("name", ["uniform", "taylor", "straight", "transmit beam"])
+FEW_NODES = {
+    **{name: DEVICES[name] for name in ("uniform", "taylor", "straight", "transmit beam")},
+    # the widest beam's support is many times as wide as the others', whose patterns change as fast as ever
+    "straight, wide": replace(
+        P900,
+        n_beams=32,
+        azimuth_fov_deg=150.0,
+        beam_width_deg=1.0,
+        steered="straight",
+        receive_taper="uniform",
+    ),
+    # the support ends at the 12th null
+    "60 dB": replace(
+        P900, azimuth_fov_deg=150.0, beam_width_deg=1.5, receive_taper="taylor", side_lobe_db=60.0, n_beams=50
+    ),
+    "narrow transmit beam": replace(
+        P900, n_beams=8, azimuth_fov_deg=90.0, beam_width_deg=11.0, transmit_width_deg=5.0
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FEW_NODES)
 def test_few_nodes_give_the_means_of_columns_to_the_last_bit_of_float32(name, monkeypatch):
     """Two nodes would not."""
-    sonar, acoustics = DEVICES[name], replace(PHYSICAL, far_side_lobes=False)
-    fan = make_beamformer(sonar, acoustics, sg.Sampling(1, 16)).fan
-    reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
-    transmit = acoustics.transmit_pattern(sonar)
+    sonar, acoustics = FEW_NODES[name], replace(PHYSICAL, far_side_lobes=False)
 
-    def weights(*n_nodes):
-        if n_nodes:
-            monkeypatch.setattr(beamformer, "GAUSS_NODES", ((math.inf, *n_nodes),))
-        return beamformer.beam_weights(fan, pattern, reach, transmit).weights.astype(float)
+    def weights():
+        workspace = Workspace()
+        edges = make_beamformer(
+            sonar, acoustics, sg.Sampling(1, 16), workspace=workspace
+        ).fan.column_edges_rad
+        return workspace.weights(edges, None)[0].weights.astype(float)
 
-    found, exact, too_few = weights(), weights(16), weights(2)
+    found = weights()
+    monkeypatch.setattr(beamformer, "GAUSS_NODES", ((math.inf, 24),))
+    exact = weights()
+    monkeypatch.setattr(beamformer, "GAUSS_NODES", ((math.inf, 2),))
+    too_few = weights()
     last_bit = np.finfo(np.float32).eps * exact.max()
     assert np.abs(found - exact).max() <= last_bit < np.abs(too_few - exact).max()
 
