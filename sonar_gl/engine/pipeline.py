@@ -41,8 +41,14 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping, again until its samples keep the tolerance. Inside `drawing`."""
     setup = run.with_later_bodies(setup)
-    received = sample_alone(run, setup)
-    resolution = run.sampler.resolution_for(setup) if received is None else run.review(received)
+    try:
+        received = sample_alone(run, setup)
+    except SampleLimitError as error:  # of its image sources
+        if setup.request.alone:
+            raise
+        received, resolution = None, run.sampler.coarser(error)
+    else:
+        resolution = run.sampler.resolution_for(setup) if received is None else run.review(received)
     while resolution is not None:
         if resolution.finer_images and received is not None:
             sources = run.image_sources_for(resolution, [setup])
