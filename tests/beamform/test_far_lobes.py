@@ -1,6 +1,7 @@
 """Far side lobes against the pattern itself: all beams over all columns, a floor, and the level of a wall."""
 
 import math
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import ArrayPattern
 from sonar_gl.beamform import beamformer
 from sonar_gl.beamform.beamformer import make_beamformer
-from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, make_lobe_blocks
+from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.sonar import presets
@@ -95,6 +96,22 @@ def test_beams_weigh_all_columns_by_the_pattern(name):
     # TOLERANCE bounds the error at nodes; 16 of them a lobe are interpolated linearly, off by 1 % of its peak
     # along beams and as much along columns
     assert error[beyond].max(initial=0) < TOLERANCE + 0.02
+
+
+def test_all_memory_that_they_hold_is_counted():
+    """Stages are given back by it: what the response is made from is larger than the other tables."""
+    workspace = Workspace()
+    edges = make_beamformer(P900, PHYSICAL, sg.Sampling(1, 16), workspace=workspace).fan.column_edges_rad
+    weights, _ = workspace.weights(edges, None)  # and their blocks are kept, too
+    blocks = make_lobe_blocks(PHYSICAL.far_pattern(P900), P900.azimuth_rad, (edges[0], edges[-1]))
+    tracemalloc.start()
+    try:
+        lobes = far_lobes(blocks, weights, edges)
+        held = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    # but for a few objects and arrays of one dimension
+    assert lobes.n_bytes == pytest.approx(held, rel=0.05)
 
 
 FEW_NODES = {
