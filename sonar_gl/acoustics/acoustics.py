@@ -489,6 +489,27 @@ class Acoustics:
             support = max(support, float(away.max()), float(inward.max()))
         return support
 
+    def null_rad(self, sonar) -> float:
+        """Return the shortest period over azimuth of receive and transmit pattern together, radians; 0 for a box.
+
+        Without a transmit beam, it is the distance of two nulls of the receive pattern.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> sonar = load_sonar("p900-45,transmit_width_deg=none")
+        >>> round(math.degrees(Acoustics.physical().null_rad(sonar)), 2)  # 1 / 0.886 widths
+        1.13
+        """
+        if self.beam_pattern == "box":
+            return 0.0
+        width = math.radians(sonar.beam_width_deg)
+        pattern = ArrayPattern(self.beam_pattern, width, sonar.receive_taper, sonar.side_lobe_db)
+        per_rad = 1 / pattern.null_sine()
+        if self.transmit_beam and sonar.transmit_width_deg is not None:
+            width = math.radians(sonar.transmit_width_deg)
+            pattern = ArrayPattern("line_array", width, sonar.transmit_taper, sonar.side_lobe_db)
+            per_rad += 1 / pattern.null_sine()  # the periods of a product
+        return 1 / per_rad
+
     def transmit_pattern(self, sonar) -> Callable | None:
         """Return the transmit beam pattern in azimuth; None if the fan is insonified evenly.
 

@@ -214,6 +214,15 @@ class ArrayPattern:
             self._edge_sine * self._edge_and_elements(level)[0] / self._edge_and_elements(self._edge_level)[0]
         )
 
+    def null_sine(self) -> float:
+        """Return |u| of 1 in u L/λ, the distance of two far nulls and the shortest period of the power.
+
+        Of a Gaussian pattern, whose longest periods hold all but 4e-8, a quarter of |u| where the power is 1e-4.
+        """
+        if self.shape == "gaussian":
+            return self.main_lobe_sine(1e-4) / 4
+        return self._edge_sine / self._edge_and_elements(self._edge_level)[0]
+
     def support_sine(self) -> float:
         """Return |u| of the null at which the pattern of a line array is cut; it may exceed 1.
 

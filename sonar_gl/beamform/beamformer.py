@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.acoustics.beam_pattern import SUPPORT_NULL
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.labels import Labeller, Labels, bins_of_bodies
@@ -36,9 +35,9 @@ ELEVATIONS = 8193
 CONES, AROUND = 129, 1024
 # Where the main lobe in elevation is lower than this, the table and the places around cones are finer in proportion.
 LOW_LOBE_DEG = 1.0
-# Nodes of Gauss' rule for the mean of a beam pattern over a column, by the column's width in quarters of the pattern's
-# support, nulls of a line array: it errs by 4e-8 of the peak, less than weights in float32. For the mean of e^{2πix}
-# over w it is (πw)^2n 2^2n n!^4 / ((2n + 1) (2n)!^3).
+# Nodes of Gauss' rule for the mean of a beam pattern over a column, by the column's width in `Acoustics.null_rad`: it
+# errs by 4e-8 of the peak, less than weights in float32. For the mean of e^{2πix} over w it is
+# (πw)^2n 2^2n n!^4 / ((2n + 1) (2n)!^3). Columns of few wide beams may be wider than 1.4, for which 8 do.
 # Source: Davis, Rabinowitz, Methods of Numerical Integration, 2nd ed., 1984, section 2.7
 GAUSS_NODES = (0.1, 3), (0.25, 4), (0.5, 5), (math.inf, 8)
 
@@ -116,6 +115,7 @@ def beam_weights(
     transmit_pattern: Callable | None = None,
     elevation_pattern: Callable | None = None,
     whole_columns: bool = False,
+    n_nodes: int = GAUSS_NODES[-1][1],
 ) -> BeamWeights:
     """Weigh columns by the beam pattern, over the solid angle of each beam.
 
@@ -127,6 +127,7 @@ def beam_weights(
         The beam's solid angle leaves it out: beams are weak where the projector is
     elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
     whole_columns : weigh columns as wholes, also where the reach ends within them
+    n_nodes : of Gauss' rule for the mean of patterns over a column
     """
     sonar, n_columns = fan.sonar, fan.n_columns
     edges, axes = fan.column_edges_rad, sonar.azimuth_rad
@@ -148,8 +149,6 @@ def beam_weights(
     if not whole_columns:
         low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
     received = high - low
-    in_nulls = np.diff(fan.column_edges_rad).max() / (reach_rad / SUPPORT_NULL)
-    n_nodes = next(count for widest, count in GAUSS_NODES if in_nulls <= widest)
     nodes, node_weights = np.polynomial.legendre.leggauss(n_nodes)
     steer, power = axes[:, None, None], 1.0
     azimuths = steer + low[..., None] + received[..., None] * (nodes + 1) / 2
@@ -173,6 +172,18 @@ def beam_weights(
     share = received / np.diff(edges)[first[:, None] + np.arange(width)]
     weights = np.ascontiguousarray(share / (width_rad * height)[:, None], np.float32)
     return BeamWeights(first - origin, weights, width_rad, height, columns_sr)
+
+
+def _n_nodes(width_rad: float, reach_rad: float, null_rad: float) -> int:
+    """Return the nodes for columns of some width.
+
+    Parameters
+    ----------
+    reach_rad, null_rad : of `beam_weights` and `Acoustics.null_rad`
+    """
+    ends_in_step = reach_rad + width_rad > math.pi / 2  # behind the array, which no rule resolves
+    in_nulls = math.inf if ends_in_step or not null_rad else width_rad / null_rad
+    return next(count for widest, count in GAUSS_NODES if in_nulls <= widest)
 
 
 def elevations_of(fan: Fan) -> int:
@@ -248,7 +259,8 @@ def make_beamformer(
         blocks = None
         if far_pattern is not None:
             blocks = make_lobe_blocks(far_pattern, sonar.azimuth_rad, (edges[0], edges[-1]))
-        weights = beam_weights(fan, pattern, reach, transmit, elevation, blocks is not None)
+        n_nodes = _n_nodes(float(np.diff(edges).max()), reach, acoustics.null_rad(sonar))
+        weights = beam_weights(fan, pattern, reach, transmit, elevation, blocks is not None, n_nodes)
         return weights, None if blocks is None else far_lobes(blocks, weights, edges, transmit)
 
     return Beamformer(fan, *workspace.weights(edges, weigh), elevation, thread, is_box, workspace)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
@@ -119,7 +118,7 @@ class FarLobes:
     near : BeamTiles of the support: the pattern less what the far side lobes hold there
     condense, couple : BeamTiles of Uᵀ and M
     first_moment, expansion : (B,) int64 and (B, rank) float32, V over the solid angle of each beam
-    response : function without arguments to `column_response`
+    response : `_column_response` with its arrays
     """
 
     near: kernels.BeamTiles
@@ -127,7 +126,7 @@ class FarLobes:
     couple: kernels.BeamTiles
     first_moment: np.ndarray
     expansion: np.ndarray
-    response: Callable[[], np.ndarray]
+    response: partial
 
     @cached_property
     def column_response(self) -> np.ndarray:
@@ -139,9 +138,9 @@ class FarLobes:
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of its tables, about."""
-        tiles = self.near, self.condense, self.couple
-        return sum(one.weights.nbytes for one in tiles) + self.expansion.nbytes
+        """Bytes of its tables, about, with those that the response is made from; simulators share the blocks."""
+        tables = *(one.weights for one in (self.near, self.condense, self.couple)), self.expansion
+        return sum(one.nbytes for one in (*tables, *self.response.args))
 
     @property
     def products(self) -> int:
@@ -339,7 +338,6 @@ def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmi
     for node in range(len(nodes)):  # `np.add.at` takes ten times as long
         means[block[:, node], np.arange(C)] += values[:, node]
     by_moment = means.transpose(0, 2, 1).reshape(n_blocks * rank, C).astype(np.float32)
-    # their product is what each beam receives of each column, 1 on its axis
     per_block = blocks.per_moment().astype(np.float32)
     columns = (near.first[:, None] + np.arange(near.weights.shape[1])) % C
     of_support = _in_support(per_block, by_moment, near, block, rank)
@@ -359,7 +357,7 @@ def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmi
         couple=kernels.beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
         first_moment=blocks.first_moment.astype(np.int64),
         expansion=(blocks.expansion * per_sr[:, None]).astype(np.float32),
-        response=partial(_column_response, per_block, by_moment, columns, corrected, *seen),
+        response=partial(_column_response, by_moment, near.first, corrected, *seen, blocks=blocks),
     )
 
 
@@ -370,7 +368,7 @@ def _in_support(per_block, by_moment, near: BeamWeights, block, rank: int) -> np
 
     Parameters
     ----------
-    per_block, by_moment : as of `_column_response`
+    per_block, by_moment : (B, M) and (M, C), whose product is what far side lobes receive, 1 on the axis of a beam
     block : (C, n) of nodes of the columns
     """
     (B, W), n_columns = near.weights.shape, len(block)
@@ -385,19 +383,21 @@ def _in_support(per_block, by_moment, near: BeamWeights, block, rank: int) -> np
     return out
 
 
-def _column_response(per_block, by_moment, columns, corrected, transmitted, per_sr) -> np.ndarray:
+def _column_response(by_moment, first, corrected, transmitted, per_sr, blocks: LobeBlocks) -> np.ndarray:
     """Return `FarLobes.column_response`.
 
     Parameters
     ----------
-    per_block, by_moment : (B, M) and (M, C), whose product is what far side lobes receive, 1 on the axis of a beam
-    columns, corrected : (B, W) in the support of each beam, and its weights less their share of far side lobes
+    by_moment : (M, C) of the moments of blocks, each column's share
+    first, corrected : (B,) first column of each beam's support, and (B, W) its weights less their share of far side
+        lobes
     transmitted, per_sr : (C,) power of the projector, (B,) over the solid angle of a beam
     """
     with _one_thread():
-        far = per_block @ by_moment
+        far = blocks.per_moment().astype(np.float32) @ by_moment
     far *= transmitted
     far *= per_sr[:, None]
+    columns = (first[:, None] + np.arange(corrected.shape[1])) % far.shape[1]
     np.add.at(far, (np.arange(len(far))[:, None], columns), corrected)
     # less than nothing counts as nothing, as in `kernels.add_far_lobes`
     np.maximum(far, 0, out=far)

@@ -14,7 +14,7 @@ from sonar_gl.engine.adaptive import AdaptiveSampling
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.multipath import HalvingChoice, ImageSources
-from sonar_gl.engine.pipeline import draw, receive, sample_apart
+from sonar_gl.engine.pipeline import choose_samples, draw, receive, receive_chosen
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import IN_USE
 from sonar_gl.raster.engine import RasterEngine
@@ -82,7 +82,7 @@ class PingWorker:
         return Job(make, IN_USE)
 
     def job_apart(self, setup: PingSetup, choice: HalvingChoice | None, scene: Scene) -> Job:
-        """Return a job that makes one ping with samples chosen from it alone; its answer is that of `sample_apart`.
+        """Return a job that makes one ping with samples chosen from it alone; it answers the Plan behind them, too.
 
         choice : as of `job`
         """
@@ -92,7 +92,8 @@ class PingWorker:
                 self._use_images(choice, scene)
                 if self._sampler is None:
                     self._sampler = AdaptiveSampling(self._stages, self._tolerance, self._gain)
-                return sample_apart(self._sampler.choose, self._images, setup)
+                chosen = choose_samples(self._sampler.choose, setup)
+                return receive_chosen(self._images, setup, chosen), chosen.plan
 
         return Job(make, IN_USE)
 

@@ -19,7 +19,6 @@ from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.engine.adaptive import ChosenView
-from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import DrawnPing, FurtherViews, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
@@ -44,9 +43,15 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping, again until its samples keep the tolerance. Inside `drawing`."""
     setup = run.with_later_bodies(setup)
     if run.sampler.is_apart(setup):
-        received, plan = sample_apart(run.sampler.choose, run.image_sources_for([setup]), setup)
-        run.sampler.follow(setup, plan, received.direct.total, run.sampler.history.number + 1)
-        resolution = run.review(received)
+        chosen = choose_samples(run.sampler.choose, setup)
+        run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.number + 1)
+        try:
+            received = receive_chosen(run.image_sources_for([setup]), setup, chosen)
+            resolution = run.review(received)
+        except SampleLimitError as error:  # of its image sources
+            if setup.request.alone:
+                raise
+            received, resolution = None, run.sampler.coarser(error)
     else:
         received, resolution = None, run.sampler.resolution_for(setup)
     while resolution is not None:
@@ -67,19 +72,18 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     return received
 
 
-def sample_apart(
-    choose: Callable[..., ChosenView], sources: ImageSources | None, setup: PingSetup
-) -> tuple[ReceivedPing, Plan]:
-    """Draw and receive a ping with samples chosen from it alone; return the Plan behind them, too.
+def choose_samples(choose: Callable[..., ChosenView], setup: PingSetup) -> ChosenView:
+    """Return the views of a ping with samples chosen from it alone, by `choose` of an AdaptiveSampling."""
+    return choose(setup, further_states(setup).needed)
 
-    choose : of an AdaptiveSampling
-    """
-    further = further_states(setup)
-    tried, plan = choose(setup, further.needed)
+
+def receive_chosen(sources: ImageSources | None, setup: PingSetup, chosen: ChosenView) -> ReceivedPing:
+    """Receive a ping whose samples were chosen from it alone, and draw its image sources."""
+    tried, plan = chosen
     resolution = Resolution(tried.stage, is_final=True, error_estimate=plan.bound)
     (images,) = draw_images(sources, resolution, [tried.view], [setup])
-    drawn = DrawnPing(setup, resolution, tried.view, images, further.drawn(iter(tried.further)))
-    return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies)), plan
+    drawn = DrawnPing(setup, resolution, tried.view, images, further_states(setup).drawn(iter(tried.further)))
+    return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
 
 
 def draw(

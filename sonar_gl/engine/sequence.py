@@ -123,7 +123,7 @@ class _Started(NamedTuple):
 
     Attributes
     ----------
-    job : answers a list of their ReceivedPings; or what `sample_apart` does
+    job : answers a list of their ReceivedPings, or the only one and the Plan behind its samples
     pings : of the job
     choice : of the sampler, by which they are made
     is_apart : the samples of its only ping are chosen from it alone
