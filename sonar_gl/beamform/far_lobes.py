@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
@@ -118,7 +119,7 @@ class FarLobes:
     near : BeamTiles of the support: the pattern less what the far side lobes hold there
     condense, couple : BeamTiles of Uᵀ and M
     first_moment, expansion : (B,) int64 and (B, rank) float32, V over the solid angle of each beam
-    response : `_column_response` with its arrays
+    response : function without arguments to `column_response`
     """
 
     near: kernels.BeamTiles
@@ -126,7 +127,7 @@ class FarLobes:
     couple: kernels.BeamTiles
     first_moment: np.ndarray
     expansion: np.ndarray
-    response: partial
+    response: Callable[[], np.ndarray]
 
     @cached_property
     def column_response(self) -> np.ndarray:
@@ -138,9 +139,9 @@ class FarLobes:
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of its tables, about, with those that the response is made from; simulators share the blocks."""
-        tables = *(one.weights for one in (self.near, self.condense, self.couple)), self.expansion
-        return sum(one.nbytes for one in (*tables, *self.response.args))
+        """Bytes of its tables, about."""
+        tiles = self.near, self.condense, self.couple
+        return sum(one.weights.nbytes for one in tiles) + self.expansion.nbytes
 
     @property
     def products(self) -> int:
@@ -325,14 +326,36 @@ def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_
         return _far_lobes(blocks, near, np.asarray(column_edges_rad), transmit_pattern)
 
 
-def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmit_pattern) -> FarLobes:
-    """Return what `far_lobes` does."""
+class _Shares(NamedTuple):
+    """What far side lobes receive of columns.
+
+    Attributes
+    ----------
+    block : (C, 8) of nodes of the columns, rising
+    means : (J, C, rank) of the functions of each block over columns
+    per_block, by_moment : (B, M) and (M, C) float32, whose product is what each beam receives, 1 on its axis
+    columns, corrected : (B, W) in the support of each beam, and its weights there less what far side lobes receive
+    transmitted, per_sr : (C,) power of the projector, and (B,) over the solid angle of each beam
+    """
+
+    block: np.ndarray
+    means: np.ndarray
+    per_block: np.ndarray
+    by_moment: np.ndarray
+    columns: np.ndarray
+    corrected: np.ndarray
+    transmitted: np.ndarray
+    per_sr: np.ndarray
+
+
+def _shares(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmit_pattern) -> _Shares:
+    """Return what far side lobes receive; arguments as of `far_lobes`."""
     C, rank, n_blocks = len(edges) - 1, blocks.rank, len(blocks.edges) - 1
     nodes, node_weights = np.polynomial.legendre.leggauss(8)
     widths = np.diff(edges)
     azimuths = edges[:-1, None] + widths[:, None] * (nodes + 1) / 2
     places = blocks.pattern.coordinate(azimuths)
-    block = np.clip(np.searchsorted(blocks.edges, places, side="right") - 1, 0, n_blocks - 1)  # (C, 8)
+    block = np.clip(np.searchsorted(blocks.edges, places, side="right") - 1, 0, n_blocks - 1)
     values = blocks.values(places - blocks.edges[block]) * (node_weights / 2)[:, None]
     means = np.zeros((n_blocks, C, rank))  # a wide column may lie in several blocks
     for node in range(len(nodes)):  # `np.add.at` takes ten times as long
@@ -348,16 +371,22 @@ def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmi
     if transmit_pattern is not None:
         transmitted = transmit_pattern(azimuths) @ (node_weights / 2)
     per_sr = 1 / (width_rad * near.height)
-    seen = transmitted.astype(np.float32), per_sr.astype(np.float32)
     less = of_support * transmitted[columns] * per_sr[:, None]
     corrected = (near.weights * (near.width_rad / width_rad)[:, None] - less).astype(np.float32)
+    return _Shares(block, means, per_block, by_moment, columns, corrected, transmitted, per_sr)
+
+
+def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmit_pattern) -> FarLobes:
+    """Return what `far_lobes` does."""
+    shares = _shares(blocks, near, edges, transmit_pattern)
     return FarLobes(
-        near=kernels.beam_tiles(near.first, corrected),
-        condense=_condensing_tiles(means * transmitted[:, None], block),
+        near=kernels.beam_tiles(near.first, shares.corrected),
+        condense=_condensing_tiles(shares.means * shares.transmitted[:, None], shares.block),
         couple=kernels.beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
         first_moment=blocks.first_moment.astype(np.int64),
-        expansion=(blocks.expansion * per_sr[:, None]).astype(np.float32),
-        response=partial(_column_response, by_moment, near.first, corrected, *seen, blocks=blocks),
+        expansion=(blocks.expansion * shares.per_sr[:, None]).astype(np.float32),
+        # found once more for the few stages that need it: what it is made from takes four times the memory of the rest
+        response=partial(_column_response, blocks, near, edges, transmit_pattern),
     )
 
 
@@ -368,8 +397,7 @@ def _in_support(per_block, by_moment, near: BeamWeights, block, rank: int) -> np
 
     Parameters
     ----------
-    per_block, by_moment : (B, M) and (M, C), whose product is what far side lobes receive, 1 on the axis of a beam
-    block : (C, n) of nodes of the columns
+    per_block, by_moment, block : as of _Shares
     """
     (B, W), n_columns = near.weights.shape, len(block)
     out = np.empty((B, W), np.float32)
@@ -383,22 +411,16 @@ def _in_support(per_block, by_moment, near: BeamWeights, block, rank: int) -> np
     return out
 
 
-def _column_response(by_moment, first, corrected, transmitted, per_sr, blocks: LobeBlocks) -> np.ndarray:
-    """Return `FarLobes.column_response`.
-
-    Parameters
-    ----------
-    by_moment : (M, C) of the moments of blocks, each column's share
-    first, corrected : (B,) first column of each beam's support, and (B, W) its weights less their share of far side
-        lobes
-    transmitted, per_sr : (C,) power of the projector, (B,) over the solid angle of a beam
-    """
+def _column_response(
+    blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmit_pattern
+) -> np.ndarray:
+    """Return `FarLobes.column_response`; arguments as of `far_lobes`."""
     with _one_thread():
-        far = blocks.per_moment().astype(np.float32) @ by_moment
-    far *= transmitted
-    far *= per_sr[:, None]
-    columns = (first[:, None] + np.arange(corrected.shape[1])) % far.shape[1]
-    np.add.at(far, (np.arange(len(far))[:, None], columns), corrected)
+        shares = _shares(blocks, near, edges, transmit_pattern)
+        far = shares.per_block @ shares.by_moment
+    far *= shares.transmitted.astype(np.float32)
+    far *= shares.per_sr.astype(np.float32)[:, None]
+    np.add.at(far, (np.arange(len(far))[:, None], shares.columns), shares.corrected)
     # less than nothing counts as nothing, as in `kernels.add_far_lobes`
     np.maximum(far, 0, out=far)
     return far.sum(axis=0, dtype=np.float64)

@@ -420,7 +420,6 @@ def test_bytes_that_are_no_zenoh_stall_nothing(peer, router, transports):
     kept.undeclare()
 
 
-@pytest.mark.slow
 def test_it_listens_at_127_0_0_1_only(router, transports):
     before = listening_ports()
     transports()
