@@ -45,14 +45,14 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     resolution = run.sampler.resolution_for(setup) if received is None else run.review(received)
     while resolution is not None:
         if resolution.finer_images and received is not None:
-            sources = run.image_sources_for(resolution, [setup])
+            sources = run.image_sources_for(resolution)
             coarser = received.drawn.images
             (images,) = draw_images(sources, resolution, [received.drawn.view], [setup], coarser)
             drawn = replace(received.drawn, resolution=resolution, images=images)
             received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
         else:
             try:
-                (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
+                (drawn,) = draw(run.image_sources_for(resolution), [setup], resolution)
             except SampleLimitError as error:
                 resolution = run.sampler.coarser(error)
                 continue
@@ -69,7 +69,8 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
         return None
     tried, plan = chosen
     resolution = Resolution(tried.stage, is_final=True, error_estimate=plan.bound)
-    (images,) = draw_images(run.image_sources_for(resolution, [setup]), resolution, [tried.view], [setup])
+    sources = run.image_sources_for(resolution, is_alone=True)
+    (images,) = draw_images(sources, resolution, [tried.view], [setup])
     drawn = DrawnPing(setup, resolution, tried.view, images, further.drawn(iter(tried.further)))
     return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
 

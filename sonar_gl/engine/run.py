@@ -175,12 +175,15 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
-    def image_sources_for(self, resolution: Resolution, setups: Sequence[PingSetup]) -> ImageSources | None:
-        """Return the image sources, ready to draw those of some pings; None without multipath."""
+    def image_sources_for(self, resolution: Resolution, is_alone: bool = False) -> ImageSources | None:
+        """Return the image sources, ready to draw those of some pings; None without multipath.
+
+        is_alone : the samples were chosen from this ping alone, and those of image sources are to be, too
+        """
         if self.image_sources is not None:
             self.image_sources.use_scene(self.world.scene)
             if not resolution.finer_images:
-                self._reset_images(any(setup.request.alone for setup in setups))
+                self._reset_images(is_alone)
         return self.image_sources
 
     def take_workers(self, count: int, make: Callable) -> list:

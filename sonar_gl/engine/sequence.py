@@ -203,7 +203,7 @@ class _Overlap:
     def start(self, setups: list[PingSetup]) -> Job:
         """Draw some pings, and begin to receive them; inside `drawing`."""
         resolution = self._run.sampler.resolution
-        sources = self._run.image_sources_for(resolution, setups)
+        sources = self._run.image_sources_for(resolution)
         drawn = draw(sources, setups, resolution, keep_last=True)
         job = self._run.receive_later(lambda: [receive(one) for one in drawn])
         self._thread.submit(job)
@@ -327,7 +327,7 @@ def _without_echo(run: Run, setup: PingSetup) -> Ping:
     """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
     with run.drawing():
         resolution = run.sampler.resolution
-        (drawn,) = draw(run.image_sources_for(resolution, [setup]), [setup], resolution)
+        (drawn,) = draw(run.image_sources_for(resolution), [setup], resolution)
         received = receive(drawn)
         report = run.report(received)
     return finish(run, received, report)

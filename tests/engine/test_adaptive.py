@@ -335,6 +335,22 @@ class TestMoving:
             np.testing.assert_array_equal(one.intensity, alone.intensity)
             assert one.meta["sampling"] == alone.meta["sampling"]
 
+    def test_multipath_of_a_ping_far_from_the_last_one_is_the_same_after_any_others(self):
+        """Image sources are sampled by the ping alone, too: a strong reflector before would have them finer."""
+        floor = sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -3.5))
+        scene = sg.Scene([ball(4.0, 0.3), floor], surface_z_m=1.0)
+        away, strong, far = sg.pose(pitch=0.3, yaw=-3.0), sg.pose(-2.0, pitch=0.2), sg.pose(-6.0, yaw=0.05)
+        acoustics, pings = replace(IDEAL, multipath="incoherent"), []
+        for before in (away, strong):
+            with sg.Simulator(scene, SONAR, acoustics, tolerance=0.05) as simulator:
+                simulator.ping(before)
+                halvings = simulator.run.image_sources.halvings
+                pings.append((halvings, simulator.ping(far), simulator.run.image_sources.halvings))
+        (first, one, n_one), (second, other, n_other) = pings
+        assert first == 5 > n_one == n_other > second == 0
+        np.testing.assert_array_equal(one.intensity, other.intensity)
+        assert one.error_estimate == other.error_estimate
+
     def test_samples_get_finer_and_coarser_again(self):
         """The sonar turns from a wall to a row of rods and back."""
         rods = [
