@@ -375,36 +375,45 @@ class AdaptiveSampling:
         """
         if not self._is_apart(setup):
             return None
-        level, model, before = self._first, self._model, None
-        model.forget_limit()
-        while True:
-            level = min(level, model.finest)
-            try:
-                tried = model.draw(setup, level, further=further, for_labels=setup.request.labels)
-                judged = model.judge(setup, level, tried, before)
-            except SampleLimitError:
-                if level == 0:
-                    raise
-                model.finest, before = level - 1, None
-                continue
-            if judged.steps <= 0 or level == model.finest:
-                break
-            level, before = level + min(judged.steps, MOST_STEPS_ALONE), tried
-        n_samples = judged.plan.n_samples
+        tried, plan = self._try_alone(setup, further)
+        n_samples = plan.n_samples
         if MUCH_FEWER * n_samples < self._room:
             self._stages.drop_large()
             self._room = 0
         self._room = max(self._room, n_samples)
-        plan = judged.plan
         if not setup.request.alone:
             pose, state, number = setup.head_pose, setup.state, self.history.number + 1
             check = LastCheck(pose, state, tried.echo.total, number)
-            self.choice = Choice(Resolution(tried.stage), plan.level, plan, check)
-            # after the choice: if an interrupt comes between, the next ping is chosen alone, too
-            costs = (self._cost(plan.level),)  # another place has other costs
-            self.history = PingHistory(number, pose, state, costs)
+            choice = Choice(Resolution(tried.stage), plan.level, plan, check)
+            # another place has other costs
+            history = PingHistory(number, pose, state, (float(n_samples + FIXED_SAMPLES),))
+            # in one step: a ping near the one before this, after an interrupt between, would follow this choice
+            self.choice, self.history = choice, history
         self._warn_if_unmet(plan)
         return ChosenView(tried, plan)
+
+    def _try_alone(self, setup: PingSetup, further: Sequence[SceneState]) -> ChosenView:
+        """Return the first view whose samples keep the tolerance, or that with the most samples that fit."""
+        level, model, before = self._first, self._model, None
+        limit = model.finest
+        try:
+            model.forget_limit()
+            while True:
+                level = min(level, model.finest)
+                try:
+                    tried = model.draw(setup, level, further=further, for_labels=setup.request.labels)
+                    judged = model.judge(setup, level, tried, before)
+                except SampleLimitError:
+                    if level == 0:
+                        raise
+                    model.finest, before = level - 1, None
+                    continue
+                if judged.steps <= 0 or level == model.finest:
+                    return ChosenView(tried, judged.plan)
+                level, before = level + min(judged.steps, MOST_STEPS_ALONE), tried
+        except BaseException:
+            model.finest = limit  # of where the pings before were made
+            raise
 
     def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
         return LastCheck(setup.head_pose, setup.state, total, self.history.number)

@@ -1,5 +1,6 @@
 """Samples for a tolerance: their choice by the view, its revision as the sonar moves, and its report."""
 
+import contextlib
 import math
 import warnings
 from dataclasses import replace
@@ -21,6 +22,7 @@ from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at, typical_level
 from tests.support.estimates import record_estimates
+from tests.support.interrupts import Interrupter
 
 pytestmark = pytest.mark.usefixtures("few_first_rays")
 
@@ -334,6 +336,32 @@ class TestMoving:
         for one in (ping, again):
             np.testing.assert_array_equal(one.intensity, alone.intensity)
             assert one.meta["sampling"] == alone.meta["sampling"]
+
+    @pytest.mark.slow
+    def test_a_far_ping_that_is_interrupted_has_come_out_or_was_never_asked_for(self):
+        """A ping near the one before it follows that one, and has not the samples and the error of the far one."""
+        rods = [
+            sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
+            for y in range(-9, 10)
+        ]
+        scene = sg.Scene([sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8)), *rods])
+        of_rods, of_wall, near = sg.pose(yaw=math.pi), sg.pose(), sg.pose(0.01, yaw=math.pi)
+
+        def result_of(*poses, at=None):
+            with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.02) as simulator:
+                simulator.ping(of_rods)
+                for pose in poses:
+                    with contextlib.suppress(KeyboardInterrupt), Interrupter(at) as interrupter:
+                        simulator.ping(pose)
+                ping = simulator.ping(near)
+            return (ping.intensity.tobytes(), ping.error_estimate), interrupter.places if poses else []
+
+        never, _ = result_of()
+        come_out, places = result_of(of_wall)
+        assert never != come_out
+        places = [place for place in dict.fromkeys(places) if place[0] == "engine/adaptive.py"]
+        results = [result_of(of_wall, at=place)[0] for place in places]
+        assert len(places) > 30 and {never, come_out} == set(results)
 
     def test_multipath_of_a_ping_far_from_the_last_one_is_the_same_after_any_others(self):
         """Image sources are sampled by the ping alone, too: a strong reflector before would have them finer."""
