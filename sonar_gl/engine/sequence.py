@@ -143,6 +143,7 @@ class _Upcoming:
         self._run, self._requests = run, requests
         self._setups: deque[PingSetup] = deque()
         self._is_over, self.failure, self.n_taken = False, None, 0
+        self._history = run.sampler.history  # after the last ping that was taken or put back
 
     def fill(self, count: int) -> bool:
         """Set up pings until there are so many; return whether any is there. Not inside `drawing`."""
@@ -172,6 +173,7 @@ class _Upcoming:
                 return batch, True
             self._setups.popleft()
             batch.append(_QueuedPing(setup, before))
+            self._history = sampler.history
         return batch, False
 
     def pop(self) -> PingSetup:
@@ -183,7 +185,16 @@ class _Upcoming:
         pings = list(pings)
         self._setups.extendleft(one.setup for one in reversed(pings))
         if pings:
-            self._run.sampler.history = pings[0].history
+            self._run.sampler.history = self._history = pings[0].history
+
+    def leave(self, pings: Iterable[_QueuedPing]) -> None:
+        """Have the sampler's history end with the ping that came out last: these, made ahead, never will.
+
+        Unless other pings were made since, or the run is closed.
+        """
+        sampler = self._run.sampler
+        if sampler is not None and sampler.history is self._history:
+            self.put_back(pings)
 
 
 class _Overlap:
@@ -282,37 +293,44 @@ def _made(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
                 except SampleLimitError:
                     upcoming.put_back(batch)
                     is_alone = True
+                except BaseException:
+                    upcoming.put_back(batch)
+                    raise
             if is_alone and not in_flight:
                 yield _sampled(run, upcoming.pop())
             while in_flight and (len(in_flight) > threads.ahead or is_alone or not is_more):
                 yield from _finished(run, in_flight, upcoming)
     finally:
         threads.close()
+        upcoming.leave(_undelivered(in_flight))
     if upcoming.failure is not None:
         raise upcoming.failure
 
 
+def _undelivered(in_flight: deque[_Started]) -> list[_QueuedPing]:
+    return [ping for started in in_flight for ping in started.pings]
+
+
 def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iterator[Ping]:
     """Yield the pings of the job that was started first; if one has to be sampled anew, those after it, too."""
-    started = in_flight.popleft()
+    started = in_flight[0]
     try:
         received = started.job.result()
     except SampleLimitError:
         received = [None] * len(started.pings)
-    for number, one in enumerate(received):
+    for one in received:
         with run.world.unchanged():
             is_good = one is not None and not run.is_outdated(one, started.choice)
             report = run.report(one) if is_good and one.total > 0 else None
         if not is_good:
-            later = [ping for group in in_flight for ping in group.pings]
+            upcoming.put_back(_undelivered(in_flight))
             in_flight.clear()
-            upcoming.put_back([*started.pings[number:], *later])
             yield _sampled(run, upcoming.pop())
             return
-        if report is None:
-            yield _without_echo(run, one.drawn.setup)
-        else:
-            yield finish(run, one, report)
+        ping = _without_echo(run, one.drawn.setup) if report is None else finish(run, one, report)
+        started.pings.pop(0)
+        yield ping
+    in_flight.popleft()
 
 
 def _sampled(run: Run, setup: PingSetup) -> Ping:
