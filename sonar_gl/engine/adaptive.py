@@ -241,8 +241,9 @@ class AdaptiveSampling:
         """Register a ping, and return its samples; those of the first ping keep the tolerance."""
         check = self.register(setup)
         if check and self.plan is None:
-            self.choice = self._search(setup, self.choice.level)
-            self._warn_if_unmet(self.plan)
+            choice = self._search(setup, self.choice.level)
+            self._warn_if_unmet(choice.plan)
+            self.choice = choice
             return replace(self.resolution, is_final=True)
         return replace(self.resolution, check=check)
 
@@ -381,6 +382,7 @@ class AdaptiveSampling:
             self._stages.drop_large()
             self._room = 0
         self._room = max(self._room, n_samples)
+        self._warn_if_unmet(plan)
         if not setup.request.alone:
             pose, state, number = setup.head_pose, setup.state, self.history.number + 1
             check = LastCheck(pose, state, tried.echo.total, number)
@@ -389,7 +391,6 @@ class AdaptiveSampling:
             history = PingHistory(number, pose, state, (float(n_samples + FIXED_SAMPLES),))
             # in one step: a ping near the one before this, after an interrupt between, would follow this choice
             self.choice, self.history = choice, history
-        self._warn_if_unmet(plan)
         return ChosenView(tried, plan)
 
     def _try_alone(self, setup: PingSetup, further: Sequence[SceneState]) -> ChosenView:
@@ -450,9 +451,13 @@ class AdaptiveSampling:
         return chosen
 
     def _warn_if_unmet(self, plan: Plan) -> None:
-        """Warn of a tolerance that cannot be kept, once until it can."""
-        has_warned, self._has_warned = self._has_warned, not plan.met
-        if plan.met or has_warned:
+        """Warn of a tolerance that cannot be kept, once until it can.
+
+        Before samples are chosen for good: where warnings are errors, each such ping raises one, also when it is tried
+        again.
+        """
+        if plan.met or self._has_warned:
+            self._has_warned = not plan.met
             return
         columns = plan.sampling.columns_per_beam * self._sonar.n_beams
         name = f" ({self._model.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
@@ -463,6 +468,7 @@ class AdaptiveSampling:
             "for a larger tolerance",
             ToleranceWarning,
         )
+        self._has_warned = True
 
 
 class ReplanTrigger:

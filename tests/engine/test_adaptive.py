@@ -666,6 +666,32 @@ class TestPlan:
                 warnings.simplefilter("error")
                 simulator.ping(sg.pose(2.5))
 
+    def test_a_warning_that_is_an_error_comes_of_each_ping_and_plan_and_changes_no_other(self, monkeypatch):
+        """The second try gave a ping, or a plan, that does not keep the tolerance, without a word."""
+        monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)
+        wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8))
+        rods = [
+            sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
+            for y in range(-9, 10)
+        ]
+        good, bad, near = sg.pose(), sg.pose(yaw=math.pi), sg.pose(0.01)
+        with sg.Simulator(sg.Scene([wall, *rods]), SONAR, IDEAL) as simulator:
+            expected = [simulator.ping(pose) for pose in (good, near)]
+        with sg.Simulator(sg.Scene([wall, *rods]), SONAR, IDEAL) as simulator, warnings.catch_warnings():
+            warnings.simplefilter("error", ToleranceWarning)
+            calls = [lambda: simulator.ping(bad)] * 2 + [lambda: simulator.plan([good, bad])] * 2
+            for call in calls:  # before any ping
+                with pytest.raises(ToleranceWarning):
+                    call()
+            pings = [simulator.ping(good)]
+            for call in calls:
+                with pytest.raises(ToleranceWarning):
+                    call()
+            pings.append(simulator.ping(near))
+        for one, other in zip(pings, expected, strict=True):
+            np.testing.assert_array_equal(one.intensity, other.intensity)
+            assert one.error_estimate == other.error_estimate <= 0.01
+
     @pytest.mark.parametrize(
         "poses, message",
         [
