@@ -42,7 +42,7 @@ def count_image_sources(simulator, pose) -> int:
     setup = run.set_up(PingRequest(pose))
     with run.drawing():
         resolution = run.sampler.resolution_for(setup)
-        (drawn,) = draw(run.image_sources_for([setup]), [setup], resolution)
+        (drawn,) = draw(run.image_sources_for(), [setup], resolution)
     return 0 if drawn.images is None else len(drawn.images.sources)
 
 

@@ -250,8 +250,9 @@ class AdaptiveSampling:
         """Register a ping, and return its samples; those of the first ping keep the tolerance."""
         check = self.register(setup)
         if check and self.plan is None:
-            self.choice = self._search(setup, self.choice.level)
-            self._warn_if_unmet(self.plan)
+            choice = self._search(setup, self.choice.level)
+            self._warn_if_unmet(choice.plan)
+            self.choice = choice
             return replace(self.resolution, is_final=True)
         return replace(self.resolution, check=check)
 
@@ -372,7 +373,7 @@ class AdaptiveSampling:
         """Return whether a ping asks to be sampled by itself, or lies far from the last one."""
         if setup.request.alone:
             return True
-        is_first, is_planned = not self.history.number, self.choice.planned_poses is not None
+        is_first, is_planned = self.choice.check is None, self.choice.planned_poses is not None
         return not (is_first or is_planned) and self._trigger.is_far(
             self.history, setup.head_pose, setup.state
         )
@@ -386,44 +387,52 @@ class AdaptiveSampling:
         ----------
         further : states of which views are drawn along
         """
-        level, model, before = self._first, self._model, None
-        model.forget_limit()
-        while True:
-            level = min(level, model.finest)
-            try:
-                tried = model.draw(setup, level, further=further, for_labels=setup.request.labels)
-                judged = model.judge(setup, level, tried, before)
-            except SampleLimitError:
-                if level == 0:
-                    raise
-                model.finest, before = level - 1, None
-                continue
-            if judged.steps <= 0 or level == model.finest:
-                break
-            level, before = level + min(judged.steps, MOST_STEPS_ALONE), tried
-        n_samples = judged.plan.n_samples
-        if MUCH_FEWER * n_samples < self._room:
+        tried, plan = self._try_alone(setup, further)
+        if MUCH_FEWER * plan.n_samples < self._room:
             self._stages.drop_large()
             self._room = 0
-        self._room = max(self._room, n_samples)
-        return ChosenView(tried, judged.plan)
+        self._room = max(self._room, plan.n_samples)
+        return ChosenView(tried, plan)
+
+    def _try_alone(self, setup: PingSetup, further: Sequence[SceneState]) -> ChosenView:
+        """Return the first view whose samples keep the tolerance, or that with the most samples that fit."""
+        level, model, before = self._first, self._model, None
+        limit = model.finest
+        try:
+            model.forget_limit()
+            while True:
+                level = min(level, model.finest)
+                try:
+                    tried = model.draw(setup, level, further=further, for_labels=setup.request.labels)
+                    judged = model.judge(setup, level, tried, before)
+                except SampleLimitError:
+                    if level == 0:
+                        raise
+                    model.finest, before = level - 1, None
+                    continue
+                if judged.steps <= 0 or level == model.finest:
+                    return ChosenView(tried, judged.plan)
+                level, before = level + min(judged.steps, MOST_STEPS_ALONE), tried
+        except BaseException:
+            model.finest = limit  # of where the pings before were made
+            raise
 
     def register_apart(self, setup: PingSetup) -> None:
         """Add a ping to the history whose samples are being chosen from it alone."""
         self.history = PingHistory(self.history.number + 1, setup.head_pose, setup.state)
 
     def follow(self, setup: PingSetup, plan: Plan, total: float, number: int) -> None:
-        """Have later pings follow samples that were chosen from a ping alone, and warn if these do not suffice.
-
-        If an interrupt comes between, the next ping is chosen alone, too: the choice is replaced before the history.
-        """
-        if not setup.request.alone:
-            pose, state = setup.head_pose, setup.state
-            self.choice = Choice(plan.level, plan, LastCheck(pose, state, total, number))
-            if number >= self.history.number:  # else later ones were registered meanwhile
-                costs = (plan.n_samples + FIXED_SAMPLES,)  # another place has other costs
-                self.history = PingHistory(number, pose, state, costs)
+        """Warn if samples that were chosen from a ping alone do not suffice; then have later pings follow them."""
         self._warn_if_unmet(plan)
+        if setup.request.alone:
+            return
+        pose, state = setup.head_pose, setup.state
+        choice, history = Choice(plan.level, plan, LastCheck(pose, state, total, number)), self.history
+        if number >= history.number:  # else later ones were registered meanwhile
+            costs = (float(plan.n_samples + FIXED_SAMPLES),)  # another place has other costs
+            history = PingHistory(number, pose, state, costs)
+        # in one step: a ping near the one before this, after an interrupt between, would follow this choice
+        self.choice, self.history = choice, history
 
     def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
         return LastCheck(setup.head_pose, setup.state, total, self.history.number)
@@ -460,9 +469,13 @@ class AdaptiveSampling:
         return chosen
 
     def _warn_if_unmet(self, plan: Plan) -> None:
-        """Warn of a tolerance that cannot be kept, once until it can."""
-        has_warned, self._has_warned = self._has_warned, not plan.met
-        if plan.met or has_warned:
+        """Warn of a tolerance that cannot be kept, once until it can.
+
+        Before samples are chosen for good: where warnings are errors, each such ping raises one, also when it is tried
+        again.
+        """
+        if plan.met or self._has_warned:
+            self._has_warned = not plan.met
             return
         columns = plan.sampling.columns_per_beam * self._sonar.n_beams
         name = f" ({self._model.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
@@ -473,6 +486,7 @@ class AdaptiveSampling:
             "for a larger tolerance",
             ToleranceWarning,
         )
+        self._has_warned = True
 
 
 class ReplanTrigger:

@@ -198,10 +198,14 @@ class ImageSources:
             self._reflectivity = GreatestReflectivity.of(scene.bodies)
             self._scene = scene
 
+    @property
+    def first_choice(self) -> HalvingChoice:
+        """The coarsest samples, as if no ping had been made before, unless they are fixed."""
+        return self.choice if self.choice.is_fixed else HalvingChoice(self.COARSEST)
+
     def reset(self) -> None:
-        """Begin with the coarsest samples, as if no ping had been made before, unless they are fixed."""
-        if not self.choice.is_fixed:
-            self.choice = HalvingChoice(self.COARSEST)
+        """Begin with `first_choice`."""
+        self.choice = self.first_choice
 
     def fix(self, halvings: int) -> None:
         """Halve samples so often from now on."""

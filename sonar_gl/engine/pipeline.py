@@ -46,7 +46,7 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
         chosen = choose_samples(run.sampler.choose, setup)
         run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.number + 1)
         try:
-            received = receive_chosen(run.image_sources_for([setup]), setup, chosen)
+            received = receive_chosen(run.image_sources_for(is_apart=True), setup, chosen)
             resolution = run.review(received)
         except SampleLimitError as error:  # of its image sources
             if setup.request.alone:
@@ -56,14 +56,14 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
         received, resolution = None, run.sampler.resolution_for(setup)
     while resolution is not None:
         if resolution.finer_images and received is not None:
-            sources = run.image_sources_for([setup], finer=True)
+            sources = run.image_sources_for(finer=True)
             coarser = received.drawn.images
             (images,) = draw_images(sources, resolution, [received.drawn.view], [setup], coarser)
             drawn = replace(received.drawn, resolution=resolution, images=images)
             received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
         else:
             try:
-                (drawn,) = draw(run.image_sources_for([setup], resolution.finer_images), [setup], resolution)
+                (drawn,) = draw(run.image_sources_for(resolution.finer_images), [setup], resolution)
             except SampleLimitError as error:
                 resolution = run.sampler.coarser(error)
                 continue

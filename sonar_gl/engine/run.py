@@ -175,15 +175,18 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
-    def image_sources_for(self, setups: Sequence[PingSetup], finer: bool = False) -> ImageSources | None:
+    def image_sources_for(self, finer: bool = False, is_apart: bool = False) -> ImageSources | None:
         """Return the image sources, ready to draw those of some pings; None without multipath.
 
+        Parameters
+        ----------
         finer : they are drawn once more, with the samples that were chosen for them
+        is_apart : the samples were chosen from this ping alone, and those of image sources are to be, too
         """
         if self.image_sources is not None:
             self.image_sources.use_scene(self.world.scene)
             if not finer:
-                self._reset_images(any(setup.request.alone for setup in setups))
+                self._reset_images(is_apart)
         return self.image_sources
 
     def take_workers(self, count: int, make: Callable) -> list:
@@ -195,19 +198,28 @@ class Run:
         if not self._is_closed:  # else their stages would stay in memory
             self._idle_workers[:] = [*self._idle_workers, *workers][-len(workers) :]
 
-    def image_choice(self) -> HalvingChoice | None:
-        """Return how often samples are halved for the image sources of the next ping; None without multipath."""
-        self._reset_images()
-        return None if self.image_sources is None else self.image_sources.choice
+    def image_choice(self, is_apart: bool = False) -> HalvingChoice | None:
+        """Return how often samples are halved for the image sources of the next ping; None without multipath.
 
-    def _reset_images(self, is_alone: bool = False) -> None:
-        if self.image_sources is not None and (is_alone or self.sampler.tolerance is None):
-            self.image_sources.reset()  # no ping depends on those before
+        is_apart : as of `image_sources_for`; those of pings that are being made go on from theirs
+        """
+        images = self.image_sources
+        if images is None:
+            return None
+        return images.first_choice if self._is_independent(is_apart) else images.choice
+
+    def _reset_images(self, is_apart: bool = False) -> None:
+        if self.image_sources is not None and self._is_independent(is_apart):
+            self.image_sources.reset()
+
+    def _is_independent(self, is_apart: bool) -> bool:
+        """Return whether image sources of a ping do not depend on those of the pings before."""
+        return is_apart or self.sampler.tolerance is None
 
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance."""
         resolution = self.sampler.review(received)
-        if resolution is None and self.review_images(received):
+        if resolution is None and self._review_images(received):
             return replace(received.drawn.resolution, is_final=True, finer_images=True)
         return resolution
 
@@ -216,10 +228,15 @@ class Run:
         return (
             choice is not self.sampler.choice  # chosen after this ping was drawn
             or self.sampler.has_changed(received.direct.total)
-            or self.review_images(received)
+            or self._review_images(received)
         )
 
-    def review_images(self, received: ReceivedPing) -> bool:
+    def review_apart(self, received: ReceivedPing) -> bool:
+        """Return whether the image sources of a ping whose samples were chosen from it alone are to be drawn finer."""
+        self._reset_images(is_apart=True)
+        return self._review_images(received)
+
+    def _review_images(self, received: ReceivedPing) -> bool:
         """Return whether the image sources of a ping are to be drawn finer."""
         images = self.image_sources
         made_of = received.drawn.images, received.multipath, received.direct

@@ -16,7 +16,7 @@ from sonar_gl.core.errors import Error, SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.error_model import Plan
-from sonar_gl.engine.flow import PingSetup
+from sonar_gl.engine.flow import PingSetup, ReceivedPing
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
@@ -152,6 +152,7 @@ class _Upcoming:
         self._run, self._requests = run, requests
         self._setups: deque[PingSetup] = deque()
         self._is_over, self.failure, self.n_taken = False, None, 0
+        self._history = run.sampler.history  # after the last ping that was taken or put back
 
     def fill(self, count: int) -> bool:
         """Set up pings until there are so many; return whether any is there. Not inside `drawing`."""
@@ -180,6 +181,7 @@ class _Upcoming:
         before = sampler.history
         sampler.register_apart(setup)
         self._setups.popleft()
+        self._history = sampler.history
         return _QueuedPing(setup, before)
 
     def next_batch(self, most: int) -> tuple[list[_QueuedPing], bool]:
@@ -200,6 +202,7 @@ class _Upcoming:
                 return batch, True
             self._setups.popleft()
             batch.append(_QueuedPing(setup, before))
+            self._history = sampler.history
         return batch, False
 
     def pop(self) -> PingSetup:
@@ -211,7 +214,26 @@ class _Upcoming:
         pings = list(pings)
         self._setups.extendleft(one.setup for one in reversed(pings))
         if pings:
-            self._run.sampler.history = pings[0].history
+            self._run.sampler.history = self._history = pings[0].history
+
+    def follow(self, ping: _QueuedPing, plan: Plan, total: float) -> None:
+        """Have later pings follow one whose samples were chosen from it alone, unless other pings were made since.
+
+        total : the sum of its echo
+        """
+        sampler = self._run.sampler
+        if sampler.history is self._history:
+            sampler.follow(ping.setup, plan, total, ping.history.number + 1)
+            self._history = sampler.history
+
+    def leave(self, pings: Iterable[_QueuedPing]) -> None:
+        """Have the sampler's history end with the ping that came out last: these, made ahead, never will.
+
+        Unless other pings were made since, or the run is closed.
+        """
+        sampler = self._run.sampler
+        if sampler is not None and sampler.history is self._history:
+            self.put_back(pings)
 
 
 class _Overlap:
@@ -232,7 +254,7 @@ class _Overlap:
     def start(self, setups: list[PingSetup]) -> Job:
         """Draw some pings, and begin to receive them; inside `drawing`."""
         resolution = self._run.sampler.resolution
-        sources = self._run.image_sources_for(setups)
+        sources = self._run.image_sources_for()
         drawn = draw(sources, setups, resolution, keep_last=True)
         job = self._run.receive_later(lambda: [receive(one) for one in drawn])
         self._thread.submit(job)
@@ -274,7 +296,7 @@ class _Workers:
     def start_apart(self, setup: PingSetup) -> Job:
         """Begin to make a ping with samples chosen from it alone."""
         run, worker = self._run, self._next()
-        job = run.await_job(worker.job_apart(setup, run.image_choice(), run.world.scene))
+        job = run.await_job(worker.job_apart(setup, run.image_choice(is_apart=True), run.world.scene))
         worker.submit(job)
         return job
 
@@ -323,32 +345,38 @@ def _made(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
         while (is_more := upcoming.fill(threads.most)) or in_flight:
             with run.drawing(beside=[started.job for started in in_flight]):
                 apart = upcoming.next_apart() if is_more and threads.can_choose else None
-                if apart is not None:
-                    job = threads.start_apart(apart.setup)
-                    in_flight.append(_Started(job, [apart], run.sampler.choice, is_apart=True))
-                batch, is_alone = ([], False) if apart else upcoming.next_batch(threads.most)
+                batch, is_alone = ([apart], False) if apart else upcoming.next_batch(threads.most)
                 try:
-                    if batch:
+                    if apart:
+                        job = threads.start_apart(apart.setup)
+                        in_flight.append(_Started(job, batch, run.sampler.choice, is_apart=True))
+                    elif batch:
                         job = threads.start([one.setup for one in batch])
                         in_flight.append(_Started(job, batch, run.sampler.choice))
                 except SampleLimitError:
                     upcoming.put_back(batch)
                     is_alone = True
+                except BaseException:
+                    upcoming.put_back(batch)
+                    raise
             if is_alone and not in_flight:
                 yield _sampled(run, upcoming.pop())
             while in_flight and (len(in_flight) > threads.ahead or is_alone or not is_more):
                 yield from _finished(run, in_flight, upcoming)
     finally:
         threads.close()
-        if in_flight and run.sampler is not None:  # nobody has these, so that later pings do not follow them
-            upcoming.put_back([ping for started in in_flight for ping in started.pings])
+        upcoming.leave(_undelivered(in_flight))
     if upcoming.failure is not None:
         raise upcoming.failure
 
 
+def _undelivered(in_flight: deque[_Started]) -> list[_QueuedPing]:
+    return [ping for started in in_flight for ping in started.pings]
+
+
 def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iterator[Ping]:
     """Yield the pings of the job that was started first; if one has to be sampled anew, those after it, too."""
-    started, plan = in_flight.popleft(), None
+    started, plan = in_flight[0], None
     try:
         received = started.job.result()
         if started.is_apart:
@@ -356,28 +384,26 @@ def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iter
             received = [one]
     except SampleLimitError:
         received = [None] * len(started.pings)
-    for number, one in enumerate(received):
+    for one in received:
         with run.world.unchanged():
-            if one is None:
-                is_good = False
-            elif plan is None:
-                is_good = not run.is_outdated(one, started.choice)
-            else:
-                is_good = not run.review_images(one)
-                if is_good:
-                    setup, before = started.pings[0]
-                    run.sampler.follow(setup, plan, one.direct.total, before.number + 1)
+            is_good = one is not None and not _is_outdated(run, started, one)
+            if is_good and plan is not None:
+                upcoming.follow(started.pings[0], plan, one.direct.total)
             report = run.report(one) if is_good and one.total > 0 else None
         if not is_good:
-            later = [ping for group in in_flight for ping in group.pings]
+            upcoming.put_back(_undelivered(in_flight))
             in_flight.clear()
-            upcoming.put_back([*started.pings[number:], *later])
             yield _sampled(run, upcoming.pop())
             return
-        if report is None:
-            yield _without_echo(run, one.drawn.setup)
-        else:
-            yield finish(run, one, report)
+        ping = _without_echo(run, one.drawn.setup) if report is None else finish(run, one, report)
+        started.pings.pop(0)
+        yield ping
+    in_flight.popleft()
+
+
+def _is_outdated(run: Run, started: _Started, received: ReceivedPing) -> bool:
+    """Return whether a ping must be made again."""
+    return run.review_apart(received) if started.is_apart else run.is_outdated(received, started.choice)
 
 
 def _sampled(run: Run, setup: PingSetup) -> Ping:
@@ -392,7 +418,7 @@ def _without_echo(run: Run, setup: PingSetup) -> Ping:
     """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
     with run.drawing():
         resolution = run.sampler.resolution
-        (drawn,) = draw(run.image_sources_for([setup]), [setup], resolution)
+        (drawn,) = draw(run.image_sources_for(), [setup], resolution)
         received = receive(drawn)
         report = run.report(received)
     return finish(run, received, report)

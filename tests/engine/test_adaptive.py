@@ -1,5 +1,6 @@
 """Samples for a tolerance: their choice by the view, its revision as the sonar moves, and its report."""
 
+import contextlib
 import math
 import warnings
 from dataclasses import replace
@@ -21,6 +22,7 @@ from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at, typical_level
 from tests.support.estimates import record_estimates
+from tests.support.interrupts import Interrupter
 
 pytestmark = pytest.mark.usefixtures("few_first_rays")
 
@@ -335,6 +337,48 @@ class TestMoving:
             np.testing.assert_array_equal(one.intensity, alone.intensity)
             assert one.meta["sampling"] == alone.meta["sampling"]
 
+    @pytest.mark.slow
+    def test_a_far_ping_that_is_interrupted_has_come_out_or_was_never_asked_for(self):
+        """A ping near the one before it follows that one, and has not the samples and the error of the far one."""
+        rods = [
+            sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
+            for y in range(-9, 10)
+        ]
+        scene = sg.Scene([sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8)), *rods])
+        of_rods, of_wall, near = sg.pose(yaw=math.pi), sg.pose(), sg.pose(0.01, yaw=math.pi)
+
+        def result_of(*poses, at=None):
+            with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.02) as simulator:
+                simulator.ping(of_rods)
+                for pose in poses:
+                    with contextlib.suppress(KeyboardInterrupt), Interrupter(at) as interrupter:
+                        simulator.ping(pose)
+                ping = simulator.ping(near)
+            return (ping.intensity.tobytes(), ping.error_estimate), interrupter.places if poses else []
+
+        never, _ = result_of()
+        come_out, places = result_of(of_wall)
+        assert never != come_out
+        places = [place for place in dict.fromkeys(places) if place[0] == "engine/adaptive.py"]
+        results = [result_of(of_wall, at=place)[0] for place in places]
+        assert len(places) > 30 and {never, come_out} == set(results)
+
+    def test_multipath_of_a_ping_far_from_the_last_one_is_the_same_after_any_others(self):
+        """Image sources are sampled by the ping alone, too: a strong reflector before would have them finer."""
+        floor = sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -3.5))
+        scene = sg.Scene([ball(4.0, 0.3), floor], surface_z_m=1.0)
+        away, strong, far = sg.pose(pitch=0.3, yaw=-3.0), sg.pose(-2.0, pitch=0.2), sg.pose(-6.0, yaw=0.05)
+        acoustics, pings = replace(IDEAL, multipath="incoherent"), []
+        for before in (away, strong):
+            with sg.Simulator(scene, SONAR, acoustics, tolerance=0.05) as simulator:
+                simulator.ping(before)
+                halvings = simulator.run.image_sources.halvings
+                pings.append((halvings, simulator.ping(far), simulator.run.image_sources.halvings))
+        (first, one, n_one), (second, other, n_other) = pings
+        assert first == 5 > n_one == n_other > second == 0
+        np.testing.assert_array_equal(one.intensity, other.intensity)
+        assert one.error_estimate == other.error_estimate
+
     def test_samples_get_finer_and_coarser_again(self):
         """The sonar turns from a wall to a row of rods and back."""
         rods = [
@@ -621,6 +665,32 @@ class TestPlan:
             with warnings.catch_warnings():  # the warning comes once
                 warnings.simplefilter("error")
                 simulator.ping(sg.pose(2.5))
+
+    def test_a_warning_that_is_an_error_comes_of_each_ping_and_plan_and_changes_no_other(self, monkeypatch):
+        """The second try gave a ping, or a plan, that does not keep the tolerance, without a word."""
+        monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)
+        wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8))
+        rods = [
+            sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
+            for y in range(-9, 10)
+        ]
+        good, bad, near = sg.pose(), sg.pose(yaw=math.pi), sg.pose(0.01)
+        with sg.Simulator(sg.Scene([wall, *rods]), SONAR, IDEAL) as simulator:
+            expected = [simulator.ping(pose) for pose in (good, near)]
+        with sg.Simulator(sg.Scene([wall, *rods]), SONAR, IDEAL) as simulator, warnings.catch_warnings():
+            warnings.simplefilter("error", ToleranceWarning)
+            calls = [lambda: simulator.ping(bad)] * 2 + [lambda: simulator.plan([good, bad])] * 2
+            for call in calls:  # before any ping
+                with pytest.raises(ToleranceWarning):
+                    call()
+            pings = [simulator.ping(good)]
+            for call in calls:
+                with pytest.raises(ToleranceWarning):
+                    call()
+            pings.append(simulator.ping(near))
+        for one, other in zip(pings, expected, strict=True):
+            np.testing.assert_array_equal(one.intensity, other.intensity)
+            assert one.error_estimate == other.error_estimate <= 0.01
 
     @pytest.mark.parametrize(
         "poses, message",

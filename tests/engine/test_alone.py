@@ -173,6 +173,28 @@ def test_a_near_view_does_not_limit_the_samples_of_others(monkeypatch):
     assert rows_of(near) < rows_of(far)
 
 
+def test_a_choice_that_is_broken_off_leaves_no_limit_of_its_view(monkeypatch):
+    """As many samples fit as before it, which pings near the one before may need."""
+    monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)
+    scene = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
+    real, limits = ErrorModel.draw, []
+
+    def draw(model, *args, **more):
+        limits.append(lambda: model.finest)
+        if model.finest < before:  # the near view has met its limit
+            raise KeyboardInterrupt
+        return real(model, *args, **more)
+
+    with sg.Simulator(scene, SONAR, tolerance=0.002) as simulator:
+        monkeypatch.setattr(ErrorModel, "draw", draw)
+        before = -1
+        simulator.ping(sg.pose(1.0))
+        before = limits[-1]()
+        with pytest.raises(KeyboardInterrupt):
+            simulator.ping(sg.pose(8.2))
+        assert limits[-1]() == before
+
+
 def test_memory_is_given_back_after_a_ping_of_many_samples_and_not_while_pings_need_as_many(monkeypatch):
     given_back = []
     monkeypatch.setattr(StageCache, "drop_large", lambda _: given_back.append(len(n_samples)))

@@ -15,6 +15,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.core.worker import JobThread
 from sonar_gl.engine import ping_worker, pipeline, sequence
+from sonar_gl.engine.run import Run
 from sonar_gl.ping import BIN_LABELS
 from tests.support.estimates import record_estimates
 
@@ -189,6 +190,43 @@ def test_invalid_poses_raise_errors():
         with pytest.raises(sg.Error) as caught:
             list(it.pings(POSES))
         assert str(caught.value) == "this Simulator is closed; make a new one"
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_pings_after_a_sequence_that_was_left_follow_the_last_one_that_came_out(n):
+    """Not those that were made ahead, more of them with more cores, which lie far from the one after."""
+    path = [sg.pose(0.01 * k) for k in range(n)] + [sg.pose(0.9)] * 5
+    after = sg.pose(-0.5)
+
+    def simulator():
+        return sg.Simulator(sg.Scene(BODIES), SONAR, sg.Acoustics.ideal(), tolerance=0.02)
+
+    with simulator() as alone:
+        *before, expected = [alone.ping(pose) for pose in [*path[:n], after]]
+    with simulator() as left:
+        pings = left.pings(path)
+        for one, other in zip(before, islice(pings, n), strict=True):
+            check_same(one, other)
+        pings.close()
+        check_same(left.ping(after), expected)
+
+
+def test_pings_that_an_interrupt_kept_from_being_started_leave_no_history(monkeypatch):
+    path, after = [sg.pose(), sg.pose(0.9)], sg.pose(-0.5)
+
+    def simulator():
+        return sg.Simulator(sg.Scene(BODIES), SONAR, sg.Acoustics.ideal(), tolerance=0.02)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with simulator() as alone:
+        _, expected = [alone.ping(pose) for pose in [path[0], after]]
+    with simulator() as left:
+        with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+            patched.setattr(Run, "await_job", interrupted)
+            list(left.pings(path))
+        check_same(left.ping(after), expected)
 
 
 def test_a_body_that_appears_later_gets_finer_samples():
