@@ -78,7 +78,7 @@ class Choice:
     level : its sampling level
     plan : the Plan behind it; None before the first ping
     check : the LastCheck; None before the first ping
-    planned_poses : bytes of the poses for which the samples are fixed; None while they are chosen ping by ping
+    planned : `_view_of` each ping for which the samples are fixed; None while they are chosen ping by ping
     is_due : the error is to be estimated as soon as that costs no more than a ping may
     """
 
@@ -86,7 +86,7 @@ class Choice:
     level: int
     plan: Plan | None = None
     check: LastCheck | None = None
-    planned_poses: frozenset[bytes] | None = None
+    planned: frozenset[int] | None = None
     is_due: bool = False
 
 
@@ -159,8 +159,8 @@ class Sampler(Protocol):
         further : states of which views are drawn along
         """
 
-    def error_estimate(self, pose) -> float | None:
-        """Return the estimated error of a ping from `pose`."""
+    def error_estimate(self, setup: PingSetup) -> float | None:
+        """Return the estimated error of a ping."""
 
 
 class FixedSampling:
@@ -196,7 +196,7 @@ class FixedSampling:
     def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> None:
         """Return None: the samples are fixed."""
 
-    def error_estimate(self, pose) -> None:
+    def error_estimate(self, setup: PingSetup) -> None:
         """Return None: there is no estimate."""
 
 
@@ -311,7 +311,7 @@ class AdaptiveSampling:
     def coarser(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
         level = self.choice.level - 1
-        if level < 0 or self.choice.planned_poses is not None:
+        if level < 0 or self.choice.planned is not None:
             raise error
         self._model.finest = level
         self.choice = replace(self.choice, resolution=self._resolution_at(level), level=level, is_due=True)
@@ -319,7 +319,7 @@ class AdaptiveSampling:
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, since the last check, by the sum of the echo."""
-        if self.choice.planned_poses is not None:
+        if self.choice.planned is not None:
             return False
         before = 0.0 if self.choice.check is None else self.choice.check.total
         return abs(total - before) > CHECK_CHANGE * before
@@ -336,21 +336,21 @@ class AdaptiveSampling:
             error_estimate=max(plan.error_estimate for plan in finest),
             met=all(plan.met for plan in plans),
         )
-        poses = frozenset(setup.head_pose.tobytes() for setup in setups)
-        self.choice = Choice(self._resolution_at(level), level, plan, planned_poses=poses)
+        planned = frozenset(map(_view_of, setups))
+        self.choice = Choice(self._resolution_at(level), level, plan, planned=planned)
         self._warn_if_unmet(plan)
         return plan
 
-    def error_estimate(self, pose) -> float | None:
-        """Return the estimated error of a ping from `pose`; None where samples were fixed for other poses."""
-        planned = self.choice.planned_poses
-        return None if planned is not None and pose.tobytes() not in planned else self.plan.bound
+    def error_estimate(self, setup: PingSetup) -> float | None:
+        """Return the estimated error of a ping; None where samples were fixed for other poses, bodies or water."""
+        planned = self.choice.planned
+        return None if planned is not None and _view_of(setup) not in planned else self.plan.bound
 
     def register(self, setup: PingSetup) -> bool:
         """Add a ping to come to the history; return whether its error is to be estimated."""
         if self._is_apart(setup):
             return True
-        if self.choice.planned_poses is not None:
+        if self.choice.planned is not None:
             return False
         pose, state, before, check = setup.head_pose, setup.state, self.history, self.choice.check
         cost, number = self._cost(self.choice.level), before.number + 1
@@ -364,7 +364,7 @@ class AdaptiveSampling:
         """Return whether the samples of a ping are chosen from it alone: it asks for that, or is far from the last."""
         if setup.request.alone:
             return True
-        is_first, is_planned = self.choice.check is None, self.choice.planned_poses is not None
+        is_first, is_planned = self.choice.check is None, self.choice.planned is not None
         if is_first or is_planned:
             return False
         return self._trigger.is_far(self.history, setup.head_pose, setup.state)
@@ -518,6 +518,14 @@ class ReplanTrigger:
             bodies_moved, bodies_turned = _motion(before.poses, state.poses)
             moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
         return moved, turned
+
+
+def _view_of(setup: PingSetup) -> int:
+    """Return a hash of what determines the echo of a ping: where all is, and how much it and the water return."""
+    state = setup.state
+    arrays = setup.head_pose, state.present, state.poses, state.reflectivity, state.bubbles, setup.gain
+    # plus 0, since -0.0 has other bytes
+    return hash(tuple(None if one is None else (one + 0).tobytes() for one in arrays))
 
 
 def _motion(before, after) -> tuple[float, float]:
