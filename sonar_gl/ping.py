@@ -66,7 +66,8 @@ class Ping:
         azimuths and elevations refer to
     meta : how the ping was made, as plain values; docs/conventions.md, "Files", has the keys
     body_echo : (bodies + 1,) float64 or None, each body's part of the sum of `intensity`, by its number
-    error_estimate : float or None, estimated share of the echo that lies in wrong bins
+    error_estimate : float or None, estimated share of the echo that lies in wrong bins; None where samples were given,
+        or planned for other pings
     incidence_rad : (B, K) float32 or None, mean incidence of the strongest body's echo, radians, NaN if there is none
     true_range_m : (B, K) float32 or None, mean slant range of that echo in the water, metres, NaN if there is none
     share : (B, K) float32 or None, that echo's share of the bin's, 0..1

@@ -124,7 +124,8 @@ class Simulator:
     def plan(self, poses, bodies=None, times_s=None, reflectivities=None, waters=None) -> Plan | None:
         """Choose the samples for these poses, a few of a long sequence, and stay with them from now on.
 
-        Without this the samples of a ping are chosen ping by ping, and depend on the pings before.
+        Without this the samples of a ping are chosen ping by ping, and depend on the pings before. Pings with another
+        pose, other bodies, reflectivity or water than these have the same samples, and no `Ping.error_estimate`.
 
         Parameters
         ----------

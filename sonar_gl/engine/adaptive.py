@@ -77,14 +77,14 @@ class Choice:
     level : sampling level of the last ping, or of the first to come
     plan : the Plan behind it; None before the first ping
     check : the LastCheck; None before the first ping
-    planned_poses : bytes of the poses for which the samples are fixed; None while they are chosen ping by ping
+    planned : `_view_of` each ping for which the samples are fixed; None while they are chosen ping by ping
     is_due : the error is to be estimated as soon as that costs no more than a ping may
     """
 
     level: int
     plan: Plan | None = None
     check: LastCheck | None = None
-    planned_poses: frozenset[bytes] | None = None
+    planned: frozenset[int] | None = None
     is_due: bool = False
 
 
@@ -164,8 +164,8 @@ class Sampler(Protocol):
         number : of the ping in the history, to which it is added if it was not registered
         """
 
-    def error_estimate(self, pose) -> float | None:
-        """Return the estimated error of a ping from `pose`."""
+    def error_estimate(self, setup: PingSetup) -> float | None:
+        """Return the estimated error of a ping."""
 
 
 class FixedSampling:
@@ -202,7 +202,7 @@ class FixedSampling:
         """Return False."""
         return False
 
-    def error_estimate(self, pose) -> None:
+    def error_estimate(self, setup: PingSetup) -> None:
         """Return None: there is no estimate."""
 
 
@@ -320,7 +320,7 @@ class AdaptiveSampling:
     def coarser(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
         level = self.choice.level - 1
-        if level < 0 or self.choice.planned_poses is not None:
+        if level < 0 or self.choice.planned is not None:
             raise error
         self._model.finest = level
         self.choice = replace(self.choice, level=level, is_due=True)
@@ -328,7 +328,7 @@ class AdaptiveSampling:
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, since the last check, by the sum of the echo."""
-        if self.choice.planned_poses is not None:
+        if self.choice.planned is not None:
             return False
         before = 0.0 if self.choice.check is None else self.choice.check.total
         return abs(total - before) > CHECK_CHANGE * before
@@ -345,26 +345,25 @@ class AdaptiveSampling:
             error_estimate=max(plan.error_estimate for plan in finest),
             met=all(plan.met for plan in plans),
         )
-        poses = frozenset(setup.head_pose.tobytes() for setup in setups)
-        self.choice = Choice(level, plan, planned_poses=poses)
+        planned = frozenset(map(_view_of, setups))
+        self.choice = Choice(level, plan, planned=planned)
         self._warn_if_unmet(plan)
         return plan
 
-    def error_estimate(self, pose) -> float | None:
-        """Return the estimated error of a ping from `pose`; None where samples were fixed for other poses."""
-        planned = self.choice.planned_poses
-        return None if planned is not None and pose.tobytes() not in planned else self.plan.bound
+    def error_estimate(self, setup: PingSetup) -> float | None:
+        """Return the estimated error of a ping; None where samples were fixed for other poses, bodies or water."""
+        planned = self.choice.planned
+        return None if planned is not None and _view_of(setup) not in planned else self.plan.bound
 
     def register(self, setup: PingSetup) -> bool:
         """Add a ping to come to the history; return whether its error is to be estimated."""
-        if self.choice.planned_poses is not None:
+        if self.choice.planned is not None:
             return False
         pose, state, before, check = setup.head_pose, setup.state, self.history, self.choice.check
         cost, number = self._cost(self.choice.level), before.number + 1
         self.history = PingHistory(number, pose, state, (*before.costs[1 - RECENT :], cost))
-        if (
-            check is None or not before.costs
-        ):  # the first one, or one that follows a ping that is still to choose
+        # the first one, or one that follows a ping that is still to choose
+        if check is None or not before.costs:
             return True
         is_due = self.choice.is_due or self._trigger.is_due(check, pose, state, number - check.number)
         return is_due and self._can_check()
@@ -373,10 +372,10 @@ class AdaptiveSampling:
         """Return whether a ping asks to be sampled by itself, or lies far from the last one."""
         if setup.request.alone:
             return True
-        is_first, is_planned = self.choice.check is None, self.choice.planned_poses is not None
-        return not (is_first or is_planned) and self._trigger.is_far(
-            self.history, setup.head_pose, setup.state
-        )
+        is_first, is_planned = self.choice.check is None, self.choice.planned is not None
+        if is_first or is_planned:
+            return False
+        return self._trigger.is_far(self.history, setup.head_pose, setup.state)
 
     def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView:
         """Try finer samples until they keep the tolerance; the last that were tried are those of the ping.
@@ -536,6 +535,14 @@ class ReplanTrigger:
             bodies_moved, bodies_turned = _motion(before.poses, state.poses)
             moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
         return moved, turned
+
+
+def _view_of(setup: PingSetup) -> int:
+    """Return a hash of what determines the echo of a ping: where all is, and how much it and the water return."""
+    state = setup.state
+    arrays = setup.head_pose, state.present, state.poses, state.reflectivity, state.bubbles, setup.gain
+    # plus 0, since -0.0 has other bytes
+    return hash(tuple(None if one is None else (one + 0).tobytes() for one in arrays))
 
 
 def _motion(before, after) -> tuple[float, float]:

@@ -266,7 +266,7 @@ class Run:
             no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
         estimate = received.drawn.resolution.error_estimate
         if estimate is None:
-            estimate = self.sampler.error_estimate(setup.head_pose)
+            estimate = self.sampler.error_estimate(setup)
         if estimate is not None and received.multipath is not None:
             estimate = max(estimate, error_of(received.drawn.images, received.multipath, received.direct))
         return PingReport(self.sample_origin(), estimate, no_echo)

@@ -647,6 +647,37 @@ class TestPlan:
             alone = [simulator.plan([pose]).level for pose in poses]
         assert plan.level == max(alone)
 
+    @pytest.mark.parametrize("change", ["bodies", "place", "add", "reflectivity", "water"])
+    def test_a_plan_estimates_no_error_of_other_bodies_and_water(self, change):
+        """The estimate was that of the plan: a thousandth, where rods that came into view erred by a sixth."""
+        rods = [
+            sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
+            for y in range(-9, 10)
+        ]
+        wall, before = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8)), sg.pose(5)
+        moved = {"rod 0": before}
+        more, of_several = {
+            "bodies": ({"bodies": moved}, {"bodies": [moved]}),
+            "reflectivity": ({"reflectivity": {"wall": 0.1}}, {"reflectivities": [{"wall": 0.1}]}),
+            "water": ({"water": sg.Water(temperature_c=30.0)}, {"waters": [sg.Water(temperature_c=30.0)]}),
+        }.get(change, ({}, {}))
+        acoustics = sg.Acoustics.physical(tvg_absorption_db_m=0.2)  # else the TVG follows the water
+        with sg.Simulator(sg.Scene([wall, *rods]), SONAR, acoustics) as simulator:
+            plan = simulator.plan([sg.pose(), sg.pose(yaw=0.1)], bodies=[None, moved])
+            assert simulator.ping(sg.pose(yaw=0.1), bodies=moved).error_estimate == plan.bound
+            assert simulator.ping(sg.pose(yaw=0.1)).error_estimate is None
+            # `sg.pose` has a zero that is negative
+            assert simulator.ping(np.eye(4)).error_estimate == plan.bound
+            if change == "place":
+                simulator.place(moved)
+            if change == "add":
+                simulator.add(ball(5.0, 0.1))
+            assert simulator.ping(sg.pose(), **more).error_estimate is None
+            (ping,) = simulator.pings([sg.pose()], **of_several)
+            assert ping.error_estimate is None
+            simulator.place({"rod 0": rods[9].pose})
+            assert simulator.ping(sg.pose()).error_estimate == (None if change == "add" else plan.bound)
+
     def test_fixed_samples_need_no_plan(self):
         with sg.Simulator(TestMoving().scene(), SONAR, IDEAL, sg.Sampling(2, 32)) as simulator:
             assert simulator.plan([np.eye(4)]) is None
