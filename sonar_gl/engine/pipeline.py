@@ -70,7 +70,12 @@ def sample_alone(run: Run, setup: PingSetup) -> ReceivedPing | None:
     tried, plan = chosen
     resolution = Resolution(tried.stage, is_final=True, error_estimate=plan.bound)
     sources = run.image_sources_for(resolution, is_alone=True)
-    (images,) = draw_images(sources, resolution, [tried.view], [setup])
+    try:
+        (images,) = draw_images(sources, resolution, [tried.view], [setup])
+    except SampleLimitError:
+        if setup.request.alone:
+            raise
+        return None  # `sample` takes coarser ones: those of the pings before are this one's now
     drawn = DrawnPing(setup, resolution, tried.view, images, further.drawn(iter(tried.further)))
     return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
 
