@@ -12,8 +12,10 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
 from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import error_model, visibility
 from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
+from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, glint_share, is_unobstructed
@@ -378,6 +380,26 @@ class TestMoving:
         assert first == 5 > n_one == n_other > second == 0
         np.testing.assert_array_equal(one.intensity, other.intensity)
         assert one.error_estimate == other.error_estimate
+
+    def test_a_far_ping_whose_image_sources_do_not_fit_has_coarser_samples(self, monkeypatch):
+        """As one near the ping before has: an error ended it, and the next try of the same ping came out."""
+        floor = sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -3.5))
+        scene, acoustics = sg.Scene([ball(4.0, 0.3), floor]), replace(IDEAL, multipath="incoherent")
+        real, refused = ImageSources.draw, []
+
+        def draw(sources, stage, *args, **more):
+            if stage.sampling.rows > 60:
+                refused.append(stage.sampling.rows)
+                raise SampleLimitError("too many")
+            return real(sources, stage, *args, **more)
+
+        with sg.Simulator(scene, SONAR, acoustics, tolerance=0.02) as simulator:
+            simulator.ping(sg.pose(yaw=2.0))
+            monkeypatch.setattr(ImageSources, "draw", draw)
+            with pytest.warns(ToleranceWarning):
+                ping = simulator.ping(sg.pose(-2.0))
+        assert refused and ping.meta["sampling"]["rows"] <= 60
+        assert ping.intensity.any() and ping.error_estimate > 0.02
 
     def test_samples_get_finer_and_coarser_again(self):
         """The sonar turns from a wall to a row of rods and back."""

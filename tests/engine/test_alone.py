@@ -10,7 +10,6 @@ import sonar_gl as sg
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import error_model
 from sonar_gl.engine.error_model import ErrorModel
-from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
@@ -206,21 +205,3 @@ def test_memory_is_given_back_after_a_ping_of_many_samples_and_not_while_pings_n
             n_samples.append(stage.fan.n_samples)
     assert n_samples[0] > 4 * n_samples[3]  # else there is nothing to give back
     assert given_back == [3]  # as the first ping of the wall has been chosen
-
-
-def test_where_image_sources_do_not_fit_a_ping_far_from_the_one_before_is_coarser(monkeypatch):
-    """As any ping of a simulator is."""
-    real, refused = ImageSources.draw, []
-
-    def draw(images, stage, *args):
-        if not refused:
-            refused.append(stage.sampling)
-            raise SampleLimitError("no room")
-        return real(images, stage, *args)
-
-    with sg.Simulator(SCENE, SONAR, tolerance=0.1, **MORE["multipath"][0]) as simulator:
-        simulator.ping(POSES[0])
-        monkeypatch.setattr(ImageSources, "draw", draw)
-        with pytest.warns(ToleranceWarning, match="tolerance 0.1 cannot be met here"):
-            ping = simulator.ping(POSES[2])
-    assert ping.intensity.any() and ping.meta["sampling"]["rows"] < refused[0].rows
