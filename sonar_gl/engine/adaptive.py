@@ -505,17 +505,17 @@ class ReplanTrigger:
 
     def is_due(self, last: LastCheck, pose, state: SceneState, n_pings: int) -> bool:
         """Return whether sonar or bodies have changed much since the last check, or a little for `n_pings`, long."""
-        moved, turned = self._change_since(last, pose, state)
-        brighter = 1.0 if math.isinf(moved) else self._brighter(last.state, state)
+        moved, turned, brighter = self._change_since(last, pose, state)
         if moved <= 0.0 and turned < 1e-6 and brighter == 1.0:
             return False
-        is_much = moved > self._far_m or turned > self._far_rad or brighter > CHECK_BRIGHTER
-        return is_much or n_pings >= CHECK_EVERY
+        return self._is_much(moved, turned, brighter) or n_pings >= CHECK_EVERY
 
     def is_far(self, last: LastCheck | PingHistory, pose, state: SceneState) -> bool:
-        """Return whether sonar or bodies have moved far since some ping, or bodies came or went."""
-        moved, turned = self._change_since(last, pose, state)
-        return moved > self._far_m or turned > self._far_rad
+        """Return whether sonar or bodies have changed much since some ping, or bodies came or went."""
+        return self._is_much(*self._change_since(last, pose, state))
+
+    def _is_much(self, moved: float, turned: float, brighter: float) -> bool:
+        return moved > self._far_m or turned > self._far_rad or brighter > CHECK_BRIGHTER
 
     def _brighter(self, before: SceneState, after: SceneState) -> float:
         """Return by how many times at most a body returns more, or less, than in another state with the same bodies."""
@@ -525,16 +525,19 @@ class ReplanTrigger:
         high, low = np.maximum(own, other), np.minimum(own, other)
         return float(np.where(high > low, high / np.maximum(low, 1e-12), 1.0).max(initial=1.0))
 
-    def _change_since(self, last: LastCheck | PingHistory, pose, state: SceneState) -> tuple[float, float]:
-        """Return by how much sonar or bodies have moved since some ping; infinite if bodies came or went."""
+    def _change_since(self, last: LastCheck | PingHistory, pose, state: SceneState) -> tuple[float, ...]:
+        """Return by how much sonar or bodies have moved and turned since some ping, and become brighter or darker.
+
+        Infinite if bodies came or went.
+        """
         moved, turned = _motion_of_one(last.pose, pose)
         before = last.state
         if state is not before:
             if len(state.present) != len(before.present) or (state.present != before.present).any():
-                return math.inf, math.inf
+                return math.inf, math.inf, math.inf
             bodies_moved, bodies_turned = _motion(before.poses, state.poses)
             moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
-        return moved, turned
+        return moved, turned, self._brighter(before, state)
 
 
 def _view_of(setup: PingSetup) -> int:

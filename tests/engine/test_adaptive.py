@@ -381,6 +381,19 @@ class TestMoving:
         np.testing.assert_array_equal(one.intensity, other.intensity)
         assert one.error_estimate == other.error_estimate
 
+    def test_a_ping_with_bodies_of_a_quite_other_reflectivity_is_the_same_after_any_others(self):
+        """As in training data: such pings followed the samples of the ones before."""
+        looks = [{"ball": ball, "floor": floor} for ball, floor in ((0.01, 0.9), (0.9, 0.01), (0.05, 0.6))]
+        runs = []
+        for order in (0, 1, 2), (0, 2, 1):
+            with sg.Simulator(self.scene(), SONAR, IDEAL, tolerance=0.02) as simulator:
+                simulator.ping(np.eye(4))
+                found = {k: simulator.ping(np.eye(4), reflectivity=looks[k]) for k in order}
+            runs.append([found[k] for k in range(3)])
+        for one, other in zip(*runs, strict=True):
+            assert 0 < one.error_estimate <= 0.02
+            np.testing.assert_array_equal(one.intensity, other.intensity)
+
     def test_a_far_ping_whose_image_sources_do_not_fit_has_coarser_samples(self, monkeypatch):
         """As one near the ping before has: an error ended it, and the next try of the same ping came out."""
         floor = sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -3.5))
