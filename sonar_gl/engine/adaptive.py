@@ -300,7 +300,9 @@ class AdaptiveSampling:
         if level < choice.level:
             self._model.forget_limit()
             self._stages.drop_large()
-        self._model.stage_at(level)  # made by this ping: the next one, if it is checked, has to make the coarser stage
+        self._model.stage_at(
+            level
+        )  # made by this ping: the next one, if it is checked, has to make the coarser stage
         return replace(choice, level=level, is_due=True)
 
     def _cost(self, level: int, check: bool = False) -> float:
