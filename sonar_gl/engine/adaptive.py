@@ -235,9 +235,8 @@ class AdaptiveSampling:
     def resolution(self) -> Resolution:
         """The resolution of the last ping, or of the first to come."""
         level = self.choice.level
-        if (
-            self._resolution[0] != level
-        ):  # not with each choice: others may follow before a ping has these samples
+        # not made with each choice: others may follow before a ping has these samples
+        if self._resolution[0] != level:
             self._resolution = level, Resolution(self._model.stage_at(level))
         return self._resolution[1]
 
@@ -300,9 +299,8 @@ class AdaptiveSampling:
         if level < choice.level:
             self._model.forget_limit()
             self._stages.drop_large()
-        self._model.stage_at(
-            level
-        )  # made by this ping: the next one, if it is checked, has to make the coarser stage
+        # made by this ping: the next one, if it is checked, has to make the coarser stage
+        self._model.stage_at(level)
         return replace(choice, level=level, is_due=True)
 
     def _cost(self, level: int, check: bool = False) -> float:
@@ -428,11 +426,14 @@ class AdaptiveSampling:
         self._warn_if_unmet(plan)
         if setup.request.alone:
             return
-        pose, state = setup.head_pose, setup.state
+        pose, state, model = setup.head_pose, setup.state, self._model
         choice, history = Choice(plan.level, plan, LastCheck(pose, state, total, number)), self.history
         if number >= history.number:  # else later ones were registered meanwhile
             costs = (float(plan.n_samples + FIXED_SAMPLES),)  # another place has other costs
             history = PingHistory(number, pose, state, costs)
+        model.forget_limit()
+        if not plan.met:
+            model.finest = plan.level
         # in one step: a ping near the one before this, after an interrupt between, would follow this choice
         self.choice, self.history = choice, history
 
