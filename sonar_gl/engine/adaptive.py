@@ -562,7 +562,7 @@ def _motion(before, after) -> tuple[float, float]:
 
 
 def _motion_of_one(before, after) -> tuple[float, float]:
-    """Return the same of one (4, 4) pose, without NumPy, whose calls take longer: each ping does this twice."""
+    """Return the same of one (4, 4) pose, without NumPy, whose calls take longer: each ping does this a few times."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = before.tolist()
     (p, q, r, u), (j, k, m, v), (n, o, s, w), _ = after.tolist()
     trace = a * p + b * q + c * r + d * j + e * k + f * m + g * n + h * o + i * s
