@@ -702,6 +702,24 @@ MUTATIONS = (
         "exponent = -0.4 * (1.0 - square) / (square * s2)",
         TRIANGLES,
     ),
+    Mutation(
+        "triangles/a lobe taken as faint too early",
+        "1.0 - 2.0 * FAINTEST * slope * slope",
+        "1.0 - 0.1 * FAINTEST * slope * slope",
+        TRIANGLES,
+    ),
+    Mutation(
+        "triangles/no normals for faces",
+        "if smooth and _has_normals(normals, start, f, faces):",
+        "if smooth and normals[f, 0] > 2.0:",
+        TRIANGLES,
+    ),
+    Mutation(
+        "triangles/lobes of flat faces left out",
+        "FLAT if body_rows[body, 14] > np.float32(0.0) else EVEN",
+        "EVEN",
+        TRIANGLES,
+    ),
     # culling and levels of detail
     Mutation("culling/box behind a plane", "beyond |= at < -reach", "beyond |= at < 0.0", CULLING),
     Mutation(

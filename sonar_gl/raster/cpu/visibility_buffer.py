@@ -22,10 +22,12 @@ GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
 # samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
 FEW = 16
 MAX_PATCH_VERTICES = 6144 + 24  # three for each of MAX_PATCH_FACES; no multiple of a page of memory
+FLAT, EVEN = -1, -2  # of `Triangles.bodies`; EVEN has no specular lobe either
 NOTHING, SINGLE = -1, -2  # of `SectorSamples.face_id`
 BODY_STEP = 0x9E3779B1  # odd, and far from small multiples of 2^31
 # of a sample's echo: a lobe that is less may change from sample to sample as it likes
 FAINT_LOBE = 1e-2
+NEARLY = 1.0 - 1e-6  # times what is compared: well above its rounding
 FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its peak
 # Height of a triangle, in samples, below which rounding of its corners to float32 decides its plane: 6e-8 of columns
 # and rows up to some thousands.
@@ -79,8 +81,8 @@ class Triangles(NamedTuple):
     """The triangles of a visibility buffer; overwritten.
 
     planes : (T, 4) float32: slopes of 1/x along u and v, distance of the plane (cos θ times range), reflectivity
-    bodies : (T, 3) int32: index of the body; row of `normals`, -1 for a flat triangle; number of the face among those
-        of all bodies
+    bodies : (T, 3) int32: index of the body; row of `normals`, or FLAT, or EVEN; number of the face among those of all
+        bodies
     normals : (T', 9) normal over x, as a linear form of the sample's column and row, in the sector's frame; T' is T
         where meshes have shading normals, else 0
     """
@@ -488,11 +490,22 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
                 planes[n, 3] *= reflectivity[uint64(start) + a]
             # the same whichever window is drawn; that two neighbours share it by chance is one case in 2^31
             bodies[n, 2] = np.int32((np.int64(f) + np.int64(body) * BODY_STEP) & 0x7FFFFFFF)
-            bodies[n, 0], bodies[n, 1] = body, -1
-            if smooth:
+            bodies[n, 0], bodies[n, 1] = body, FLAT if body_rows[body, 14] > np.float32(0.0) else EVEN
+            if smooth and _has_normals(normals, start, f, faces):
                 bodies[n, 1] = n
                 _fit_normals(normals, start, f, faces, points, m, p, normal_forms[n])
             n += 1
+
+
+@inlined
+def _has_normals(normals, start, f, faces):
+    """Return whether a corner of a face has a normal: as soon as one mesh has some, those of others are zero."""
+    largest = np.float32(0.0)
+    for o in range(3):
+        corner = uint64(start) + faces[f, o]
+        for axis in range(3):
+            largest = max(largest, abs(normals[corner, axis]))
+    return largest > np.float32(0.0)
 
 
 @inlined
@@ -536,6 +549,19 @@ def lobe_times_range(echo, range_m, strength, slope):
     return strength * math.exp(exponent) / (8.0 * s2 * square * square * cosine) * range_m
 
 
+@inlined
+def _is_faint(cos_over_depth, over_depth2, slope):
+    """Return whether a lobe is surely 0, as it is for most samples: without a root, a quotient or an exponential.
+
+    Parameters
+    ----------
+    cos_over_depth : cos θ times range over depth
+    over_depth2 : square of range over depth
+    """
+    square = cos_over_depth * cos_over_depth
+    return square * (1.0 - 2.0 * FAINTEST * slope * slope) < NEARLY * over_depth2
+
+
 @compiled
 def _write_lobes(q, triangle, planes, lobe, row, left, image):
     """Write a row of samples that return their specular lobes alone into an image.
@@ -575,7 +601,6 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
     planes, bodies, normal_forms = triangles
     lattice_u, lattice_v = view[5], view[6]
     u0, v0, i0, j0 = lattice_u[0], lattice_v[0], window[0], window[2]
-    is_even = normal_forms.shape[0] == 0 and not has_lobes
     zero, with_lobes = np.float32(0.0), lobes_alone[1].shape[0] > 0
     lobes = np.zeros(depth.shape[1] if with_lobes else 0)
     for j in range(uint64(depth.shape[0])):
@@ -593,11 +618,11 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
             plane_echo[j, at, 1] = planes[t, 0]
             plane_echo[j, at, 2] = planes[t, 1]
             echo = np.float64(planes[t, 2])
-            if not is_even:
+            if bodies[t, 1] != EVEN:
                 x, y = np.float64(np.int64(i) + i0), np.float64(np.int64(j) + j0)
                 u = u0 + lattice_u[1] * x + lattice_u[2] * y
                 v = v0 + lattice_v[1] * x + lattice_v[2] * y
-                if normal_forms.shape[0]:
+                if bodies[t, 1] >= 0:
                     # entry by entry: a row of the table would be an array with a reference to count
                     nx = normal_forms[t, 0] + normal_forms[t, 1] * x + normal_forms[t, 2] * y
                     ny = normal_forms[t, 3] + normal_forms[t, 4] * x + normal_forms[t, 5] * y
@@ -610,19 +635,19 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
                         echo = max(turned, 0.0) / (math.sqrt(squares) * q)
                 plane_echo[j, at, 3] = planes[t, 3] * echo
                 lobe, slope = body_rows[bodies[t, 0], 14], body_rows[bodies[t, 0], 15]
-                if has_lobes and lobe > zero:
-                    range_m = math.sqrt(1.0 + u * u + v * v) / q
-                    of_lobe = lobe_times_range(echo, range_m, lobe, slope)
+                over_depth2 = 1.0 + u * u + v * v  # square of range over depth
+                if has_lobes and lobe > zero and not _is_faint(echo * q, over_depth2, slope):
+                    of_lobe = lobe_times_range(echo, math.sqrt(over_depth2) / q, lobe, slope)
                     plane_echo[j, at, 3] += of_lobe
                     if with_lobes:
                         lobes[i] = of_lobe
                     if of_lobe > FAINT_LOBE * plane_echo[j, at, 3]:
                         face_id[j, at] = SINGLE - np.int64(j)
-                # what returns nothing is joined whatever its face, as most of a view of lobes alone
-                if plane_echo[j, at, 3] == zero:
-                    face_id[j, at] = NOTHING
             else:
                 plane_echo[j, at, 3] = planes[t, 3] * echo
+            # what returns nothing is joined whatever its face, as most of a view of lobes alone
+            if plane_echo[j, at, 3] == zero:
+                face_id[j, at] = NOTHING
         if with_lobes:
             _write_lobes(depth[j], triangle[j], planes, lobes, j, left, lobes_alone)
     if body_id.shape[0]:
