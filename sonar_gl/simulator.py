@@ -113,16 +113,16 @@ class Simulator:
 
     @property
     def sampling(self) -> Sampling:
-        """The samples of the last ping, or of the first to come."""
+        """The `Sampling` of the last ping; before the first ping, that of the first."""
         return self.run.sampler.resolution.stage.sampling
 
     @property
     def fan(self) -> Fan:
-        """The fan with these samples."""
+        """The `Fan`, beams and sectors, at the current `sampling`."""
         return self.run.sampler.resolution.stage.fan
 
     def plan(self, poses, bodies=None, times_s=None, reflectivities=None, waters=None) -> Plan | None:
-        """Choose the samples for these poses, a few of a long sequence, and stay with them from now on.
+        """Choose the samples that keep the tolerance at these poses, of many at a few, and use them from now on.
 
         Without this the samples of a ping are chosen ping by ping, and depend on the pings before. Pings with another
         pose, other bodies, reflectivity or water than these have the same samples, and no `Ping.error_estimate`.
@@ -150,14 +150,14 @@ class Simulator:
         self, pose, noise=None, seed=0, labels=False, ping_number=0, bodies=None, time_s=None, velocity=None,
         reflectivity=None, water=None, background=None, label_level_db=None,
     ) -> Ping:  # fmt: skip
-        """Return one transmission from `pose` and what it brings back.
+        """Return the ping that the sonar makes from `pose`.
 
         Parameters
         ----------
         pose : (4, 4) world_from_sonar, metres, of the housing; `sonar_gl.pose` makes one from x y z roll pitch yaw
         noise : Noise, or None for none
         seed, ping_number : of the noise; the same two give the same bytes, so count ping_number in a loop of your own
-        labels : True or False: find the body with the strongest echo in each bin, and what `Ping` has of that echo
+        labels : whether to find the body with the strongest echo in each bin: `Ping.body_id` and the other labels
         bodies : of this ping alone, names to (4, 4) world_from_body, or to None for a body that is absent; the name of
             a model of several links, of `Scene.models`, stands for all of them
         time_s : seconds, at which plumes of bubbles are seen; None = 0
@@ -167,9 +167,8 @@ class Simulator:
         water : Water of this ping alone; None is that of the acoustics
         background : with labels, names of bodies such as the floor on whose echo others cast a `shadow`
         label_level_db : with labels, the level of a bin's mean echo, dB of `Ping.intensity`, from which on the bin is
-            labelled, whatever the noise; None for what a display of the sonar's counts shows, see `Counts.least_shown`,
-            of which noise, now or by `add_noise`, hides what is weaker than its mean power, see `receiver_power`
-
+            labelled, whatever the noise. None: bins are labelled whose echo a display of the sonar's counts shows, see
+            `Counts.least_shown`, and, in a noisy ping, is no weaker than the mean power of the receiver's noise
         Warns
         -----
         UserWarning
@@ -197,14 +196,14 @@ class Simulator:
         self, poses, noise=None, seed=0, labels=False, bodies=None, times_s=None, velocities=None,
         reflectivities=None, waters=None, background=None, label_level_db=None,
     ) -> Iterator[Ping]:  # fmt: skip
-        """Yield pings from one pose after the other, faster than one by one: some are drawn as others are summed.
+        """Yield pings from one pose after the other, faster than `ping` would, since several are made at a time.
 
         Parameters
         ----------
         poses : (4, 4) world_from_sonar, as many as there are; may be an endless generator
         noise, seed, labels, background, label_level_db : as for `ping`; the noise's ping_number counts from 0
-        bodies, times_s, velocities, reflectivities, waters : for each what `ping` takes, or None for none; as many as
-            poses, but iterators may have more, or be endless
+        bodies, times_s, velocities, reflectivities, waters : for each pose the value that `ping` takes, or None for
+            none at all; iterators may have more values than there are poses, or be endless
 
         Notes
         -----
@@ -225,21 +224,30 @@ class Simulator:
         yield from make_pings(self._run, requests_of(poses, per_ping, **common))
 
     def place(self, bodies: dict) -> None:
-        """Put bodies elsewhere, from now on: names to (4, 4) world_from_body, or to None to take one away.
+        """Put bodies elsewhere, or take them away, from now on.
 
-        The name of a model of several links, of `Scene.models`, stands for all of them, and the pose is the model's.
         Pings of `pings` whose poses were taken before have the bodies where they were, see there.
+
+        Parameters
+        ----------
+        bodies : names to (4, 4) world_from_body, or to None to take a body away, until it is placed again. The name of
+            a model of several links, of `Scene.models`, stands for all of them, and the pose is the model's
         """
         with self._run.drawing():
             self.world.place(bodies)
 
     def add(self, *bodies) -> None:
-        """Put more bodies or plumes into the scene; the numbers of those that are there stay."""
+        """Put more bodies or plumes into the scene; the numbers of those that are there stay.
+
+        Parameters
+        ----------
+        bodies : Body or Bubbles objects, with names that the scene does not have
+        """
         with self._run.drawing():
             self.world.add(bodies)
 
     def gbuffers(self, pose) -> list[GBuffer]:
-        """Return what the depth + normal pass sees from `pose`, one G-buffer a sector of `self.fan.sectors`.
+        """Return what the depth + normal pass sees from `pose`: one `GBuffer` for each of `self.fan.sectors`.
 
         Axes are those of the head, `Sonar.head_pose` of the pose.
         """
@@ -252,11 +260,15 @@ class Simulator:
     def point_cloud(self, pose, columns: int, rows: int):
         """Return points of a plain grid of rays over the field of view, as a ray sensor would give them.
 
+        Parameters
+        ----------
+        pose : (4, 4) world_from_sonar, metres, of the housing
+        columns, rows : about how many rays, in azimuth and in elevation
+
         Returns
         -------
         points : (rows', columns', 3) float32, metres, in the frame of the head, `Sonar.head_pose` of the pose; NaN
-            where nothing was met. About as many as asked for: beyond one perspective view, columns' is a multiple of
-            the views
+            where nothing was met. Fans of several perspective views have a multiple of their number as columns'
         echo : (rows', columns') float32, μ cos θ, where μ includes the |R|² of specular lobes, at most 1
         """
         with self._run.drawing():
@@ -264,7 +276,7 @@ class Simulator:
             return point_cloud(self.world.engine, self.sonar, head_pose, columns, rows)
 
     def close(self) -> None:
-        """Give back all that it holds, and the engine if no other uses it; a second call does nothing."""
+        """Release all that it holds, and the engine unless another simulator uses it; a second call does nothing."""
         if self._run is not None:
             self._run.close()
 

@@ -91,6 +91,8 @@ MAX_SIDE_LOBE_DEG = 89.5  # above the boresight: a ten-thousandth of the hemisph
 class Acoustics:
     """The acoustic model of a ping: water, range gain, beam patterns, pulse and the terms of the echo.
 
+    docs/acoustics.md has the formula of each term, and its source.
+
     Parameters
     ----------
     profile : "ideal", "demarco2015" or "physical"
@@ -196,12 +198,12 @@ class Acoustics:
 
     @classmethod
     def ideal(cls) -> Acoustics:
-        """Return the cosine law alone with box beams, the model that closed forms describe."""
+        """Return the profile "ideal": the cosine law alone with box beams, the model that closed forms describe."""
         return cls("ideal")
 
     @classmethod
     def demarco2015(cls, range_law: str = "printed") -> Acoustics:
-        """Return the model of DeMarco, West, Howard 2015.
+        """Return the profile "demarco2015": the model of DeMarco, West, Howard 2015.
 
         Parameters
         ----------
@@ -211,7 +213,7 @@ class Acoustics:
 
     @classmethod
     def physical(cls, **settings) -> Acoustics:
-        """Return the sonar equation and the whole device; settings are the fields, by name."""
+        """Return the profile "physical": the sonar equation and the whole device; settings are the fields, by name."""
         return cls("physical", **settings)
 
     @classmethod

@@ -170,9 +170,9 @@ class Water:
     absorption_db_m : float or None
         α, dB per metre one way. None: by `absorption_formula` at the sonar's frequency.
     absorption_formula : "francois_garrison" or "ainslie_mccolm"
-        Formula of α.
+        Formula of α: Francois, Garrison 1982, or Ainslie, McColm 1998.
     sound_speed_formula : "mackenzie" or "teos10"
-        Formula of c; "teos10" requires gsw.
+        Formula of c: Mackenzie 1981, or TEOS-10, which requires gsw.
     sound_speed_m_s : float or None
         c, metres per second. None: by `sound_speed_formula`.
     volume_backscatter_db : float or None

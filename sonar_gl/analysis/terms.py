@@ -510,7 +510,7 @@ def needed_acoustics(
 
     The terms that are left out change the image by no more than the tolerance, all together, in two measures: the
     share of the echo that differs, and the share of the displayed bins that change by more than 3 dB. The same
-    arguments give the same terms: times do not matter.
+    arguments give the same terms, whatever the times of pings.
 
     Parameters
     ----------

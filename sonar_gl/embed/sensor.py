@@ -415,8 +415,21 @@ def ping_from_depth(
 
     Parameters
     ----------
-    sonar, acoustics, sampling : as for `Sensor`
-    depth, camera, more : as for `Sensor.ping_from_depth`
+    depth : (H, W) float, metres along the camera's axis, first row on top; or a list of such images
+    sonar, acoustics : as for `Simulator`
+    camera : Camera; or a list, one for each image
+    sampling : as for `sonar_gl.embed.Sensor`
+    more : as for `sonar_gl.embed.Sensor.ping_from_depth`, such as reflectivity, body_id, normals, noise and seed
+
+    Warns
+    -----
+    UserWarning
+        if the cameras do not cover the fan, depth looks like a z-buffer, or the ping has no echo.
+
+    Raises
+    ------
+    Error
+        if an argument is wrong, an image does not fit its camera, or the cameras see nothing of the fan.
     """
     for argument in (sonar, acoustics, sampling):
         if type(argument).__hash__ is None:  # `Sensor` raises the error that names it; the cache would not

@@ -51,7 +51,10 @@ def demarco_image(
     simulator : Simulator, for its scene and sonar
     pose : (4, 4) world_from_sonar
     noise : Noise; None is `Noise.demarco2015()`
-    seed, height, form, join : of `PictureSettings`
+    seed : of the noise; the same seed gives the same bytes
+    height : pixels; the width follows from the fan
+    form : "isotropic", equal scales; or "printed", eqs. (8)-(9) of the paper
+    join : "circles", or "polygons" between neighbouring points
     range_law : eq. (4) as "printed", "constant" or "inverse"; None takes the simulator's own if it is one of
         these, else "printed"
 

@@ -57,7 +57,7 @@ def save_png(path, picture: np.ndarray) -> None:
     Parameters
     ----------
     path : ends in .png; its folder exists
-    picture : of `png_bytes`
+    picture : (H, W) or (H, W, 3) RGB, uint8 or float 0..1, stored in 8 bits; or (H, W) uint16, 16-bit gray
 
     Raises
     ------

@@ -31,16 +31,16 @@ MOVED = {
 @shown_by_fields
 @dataclass(frozen=True)
 class Noise:
-    """Amounts of noise.
+    """The noise of a ping: which terms it has, and how much of each.
 
     The terms apply in this order: speckle, receiver noise, interference, ring-down, Gaussian, median, salt and
     pepper, dropped beams.
 
     Parameters
     ----------
-    speckle : the diffuse echo times an exponential variate of mean 1, correlated between overlapping beams as by a line
-        array: fully developed speckle, but of bodies with a `speckle_shape`, which also have a texture. Specular lobes
-        are one steady echo, which it spares
+    speckle : whether the diffuse echo is multiplied by an exponential variate of mean 1, correlated between overlapping
+        beams as by a line array: fully developed speckle, as [11] of docs/acoustics.md derives it. Bodies with a
+        `speckle_shape` also have a texture. Specular lobes are steady echoes, which speckle spares
     gaussian : standard deviation of Gaussian noise in each bin, relative to full scale 1; negative sums
         become 0
     salt_and_pepper : fraction of bins set to 0 or to full scale 1, half each
@@ -52,15 +52,15 @@ class Noise:
     follow_motion : False: every ping number has its own speckle. True: place-locked speckle, which depends on
         seed and pose of the sonar. A place keeps it while the sonar turns or moves along the line of sight, and loses
         it as its aspect changes; docs/acoustics.md has the rates
-    self_noise : the receiver's own noise, whose level is the sonar's `self_noise_db`, and the ring-down of a sonar
-        that states one. The TVG of range law "sonar_equation" amplifies it, other
-        laws have no TVG. Fields add: |√E g + √N n|²
+    self_noise : whether there is the receiver's own noise, whose level is the sonar's `self_noise_db`, and the
+        ring-down of a sonar that states one. The TVG of range law "sonar_equation" amplifies the noise; other laws have
+        no TVG. Fields add: echo E and noise N become |√E g + √N n|², with g of the speckle and n independent of it
     ambient_db : mean power of ambient noise before the TVG, dB relative to the echo of a sphere of
         reflectivity 1 about the sonar, at 1 m; None for none
     interference_lines : mean number of pulses of another sonar in a ping
     interference_db : power of such a pulse on the axis of a beam, as `ambient_db`
-    thermal_noise : the thermal noise of the water, which adds as `self_noise`. Its level follows from the sonar's
-        `source_level_db`, by `sonar_gl.noise.receiver.absolute_levels`
+    thermal_noise : whether there is the thermal noise of the water, which adds as `self_noise`. Its level follows from
+        the sonar's `source_level_db`, by `sonar_gl.noise.receiver.absolute_levels`
     dropped_beams : fraction of beams whose data is lost in a ping: they are 0 in all bins
 
     Raises
@@ -117,7 +117,7 @@ class Noise:
 
     @classmethod
     def none(cls) -> Noise:
-        """Return no noise."""
+        """Return the noise with all terms off."""
         return cls()
 
     @classmethod

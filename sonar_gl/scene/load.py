@@ -60,10 +60,13 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
     Parameters
     ----------
     what : name of a bundled scene; path of a file of SDF (.sdf .world), URDF (.urdf) or xacro (.xacro, with
-        arguments after it as in "robot.xacro debug:=1"), of a model's folder, or of a mesh
+        arguments after it as in "robot.xacro debug:=1"), of a model's folder, of a mesh
         (.glb .gltf .obj .stl .ply .dae), or of a MuJoCo model (.xml .mjcf); trimesh.Trimesh; trimesh.Scene;
         pyrender.Scene; mujoco.MjModel; mujoco.MjData
-    resource_paths, skip_missing : for files but meshes, as in `read_sdf`
+    resource_paths : folders in which SDF, URDF and xacro look for `model://` and `package://` first, and in which files
+        of a MuJoCo model may lie; not for meshes
+    skip_missing : of SDF, URDF and xacro: leave out, with a warning, what is missing, unreadable or unknown, in place
+        of an error
 
     Raises
     ------

@@ -26,13 +26,16 @@ def textured_body(
     ----------
     name, pose, normals, specular, roughness_rad : as for `Body`
     mesh : trimesh.Trimesh, metres; the body's mesh has more faces, since these are split
-    image : as for `textured`
-    uv : as for `textured`; None takes those that trimesh read with the mesh (`mesh.visual.uv`)
+    image : (H, W) reflectivity, 0..1, first row at the top; unsigned integers are divided by the largest number of
+        their type, colours are averaged. Or the path of an image of 8 or 16 bits
+    uv : (V, 2) texture coordinates, (0, 0) the lower left corner of the image, (1, 1) the upper right; beyond, the
+        image repeats. None takes those that trimesh read with the mesh (`mesh.visual.uv`)
 
     Raises
     ------
     Error
-        as `textured` and `Body` do, or if there are no texture coordinates.
+        if an array has the wrong shape, a number is out of bounds, there would be more than two million faces, or there
+        are no texture coordinates.
     """
     location, own_uv = f"body {name!r}", getattr(getattr(mesh, "visual", None), "uv", None)
     if uv is None and own_uv is None:

@@ -63,12 +63,12 @@ class Body:
         part of the surface at normal incidence. Profiles with `specular` add the lobe to the diffuse echo.
         Energy is conserved while μ + specular is at most 1; for a material the sum is its |R|². None: the
         material's, or 0
-    roughness_rad : 0.01..0.5, rms slope of the facets along any one direction, which sets the lobe's width. None: the
-        material's, or 0.1
+    roughness_rad : 0.01..0.5, rms slope of the facets along any one direction, which sets the width of the specular
+        (Kirchhoff) lobe; docs/acoustics.md has its formula. None: the material's, or 0.1
     material : name of the material; it sets what is left out of `reflectivity`, `specular` and `roughness_rad`
-    speckle_shape : ν of the K distribution, 0.05..1e4: where noise has speckle, a Gamma(ν, 1/ν) texture also multiplies
-        the body's diffuse echo, as of a floor with few or patchy scatterers, and the contrast becomes √(1 + 2/ν); None
-        for fully developed speckle
+    speckle_shape : ν of the K distribution (Abraham, Lyons 2002), 0.05..1e4: where noise has speckle, a Gamma(ν, 1/ν)
+        texture also multiplies the body's diffuse echo, as of a floor with few or patchy scatterers, and the contrast
+        becomes √(1 + 2/ν); None for fully developed speckle
 
     Attributes
     ----------

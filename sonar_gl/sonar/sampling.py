@@ -23,9 +23,14 @@ class Sampling:
 
     Parameters
     ----------
-    columns_per_beam : samples across one beam spacing, in azimuth
-    rows : samples up the elevation aperture
+    columns_per_beam : samples across one beam spacing, in azimuth, above 0 and up to 1024
+    rows : samples up the elevation aperture, 1..16000
     reducer : "footprint" spreads a sample over the ranges that it covers, "point" adds it to one bin
+
+    Raises
+    ------
+    Error
+        if a number is out of bounds, or the reducer is unknown.
     """
 
     columns_per_beam: float

@@ -78,14 +78,15 @@ class Sonar:
     frequency_hz : centre frequency, hertz, 1e4..1e8
     n_beams : number of beams across the fan
     n_bins : number of range bins, which divide [range_min_m, range_max_m) evenly
-    azimuth_fov_deg : width of the fan, degrees, up to 360; beam b points at −fov/2 + (b + ½) fov / n_beams
+    azimuth_fov_deg : width of the fan, degrees, up to 360
     elevation_fov_deg : height of a beam, degrees, up to 170: the full aperture, or the −3 dB width of the two-way
         pattern if `Acoustics.elevation_pattern` is not a box
     beam_width_deg : −3 dB width of a receive beam in azimuth, degrees; beams overlap where it exceeds the spacing
     range_min_m, range_max_m : slant ranges of the first bin's near edge and of the last bin's far edge, metres
     beam_azimuths_deg : azimuths of the n_beams beams, degrees, rising, positive to port, within the fan; None: by
         `beam_spacing`
-    beam_spacing : "angle": beams are spread evenly over the fan, the outermost half a spacing within its edges. "sine":
+    beam_spacing : "angle": beams are spread evenly over the fan, the outermost half a spacing within its edges: beam b,
+        from 0 on, points at −fov/2 + (b + ½) fov / n_beams. "sine":
         the sines of their azimuths are evenly spaced, as one straight array forms them by a Fourier transform, and
         the outermost beams lie on the edges of the fan; such beams are cones, see `Acoustics.has_cones`
     steered : "alike": every receive beam has the width of the data sheet. "straight": one straight array forms all
@@ -347,7 +348,7 @@ class Sonar:
     def max_ping_rate_hz(self, sound_speed_m_s: float) -> float:
         """Return the highest ping rate, hertz: the lesser of `ping_rate_max_hz` and of the rate that sound allows.
 
-        The echo from range_max_m arrives after 2R/c, before the next ping.
+        The next ping waits for the echo from R = range_max_m, which arrives after 2R/c.
 
         Parameters
         ----------
@@ -361,13 +362,20 @@ class Sonar:
         return min(sound_speed_m_s / (2 * self.range_max_m), by_device_hz)
 
     def with_range(self, range_max_m: float, n_bins: int | None = None) -> Sonar:
-        """Return the sonar set to another maximum range, with bins of the same size, or as many if it keeps them.
+        """Return the sonar set to another maximum range, with bins of the same size, or as many if `keeps_n_bins`.
 
-        `n_bins` is how many bins it shall have in place of that.
+        Bins of the same size are `n_bins_max` at most, and longer where that is not enough. Longer bins stay long: set
+        each range from the sonar with the shorter bins.
 
-        Where they would be more than `n_bins_max`, they are so many and longer. Set each range from the sonar of the
-        shorter bins: a sonar with longer ones keeps their length.
+        Parameters
+        ----------
+        range_max_m : metres
+        n_bins : number of bins; None for the rule above
 
+        Raises
+        ------
+        Error
+            if a number is out of bounds, or there would be too many bins.
         >>> sonar = load_sonar("oculus-m1200d-lf")  # bins of 2.5 mm, 5000 at most
         >>> [(s.n_bins, round(s.bin_size_m, 6)) for s in (sonar.with_range(5.1), sonar.with_range(40.1))]
         [(2000, 0.0025), (5000, 0.008)]
@@ -473,7 +481,7 @@ def load_sonar(what: str | Path) -> Sonar:
 
 
 def presets() -> dict[str, Sonar]:
-    """Return the sonars that come with the package, by name."""
+    """Return name -> Sonar of the presets that come with the package."""
     return dict(_presets())
 
 
