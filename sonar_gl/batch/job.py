@@ -143,7 +143,7 @@ class MovedTable(Table):
     Attributes
     ----------
     names : names of bodies, with the wildcards * and ?
-    apart : each body has its own random draw; otherwise all move together
+    apart : each body, or model whose name one of `names` matches, has its own random draw; otherwise all move together
     x_m, y_m, z_m : shifts in the world
     roll_rad, pitch_rad, yaw_rad : rotations about the body's own axes
     there : probability that the bodies are present

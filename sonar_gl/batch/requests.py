@@ -140,7 +140,7 @@ class BatchRequests(Sequence):
             _check_times_for_bag(job, trajectories)
         self.runs = _runs(trajectories, len(job.scenes))
         self._starts = [run.numbers.start for run in self.runs]
-        self._scenes, self._moved_names, self._files = {}, {}, {}
+        self._scenes, self._moved_names, self._apart_groups, self._files = {}, {}, {}, {}
         self._check_names_of_bodies()
 
     def _load_trajectory(self, index: int) -> Trajectory:
@@ -205,8 +205,7 @@ class BatchRequests(Sequence):
         bodies, reflectivity = {}, {}
         known = self.bodies_and_plumes(scene)
         for k, table in enumerate(self.job.vary.bodies):
-            names = self.moved_names(scene, k)
-            for group in [[name] for name in names] if table.apart else [names]:
+            for group in self._moved_groups(scene, k):
                 draws = np.array([_draw(random, getattr(table, key)) for key in SHIFT_AND_TURN])
                 shift, turn = np.split(draws, 2)
                 is_present = random.random() < table.there
@@ -293,6 +292,25 @@ class BatchRequests(Sequence):
             patterns = self.job.vary.bodies[table].names
             self._moved_names[scene, table] = matching_names(patterns, self.bodies_and_plumes(scene))
         return self._moved_names[scene, table]
+
+    def _moved_groups(self, scene: int, table: int) -> list[list[str]]:
+        """Return the bodies of a scene that a table moves, those that move together in one list.
+
+        A model whose name a pattern matches moves as a whole, the outermost of several: a fish with its tail.
+        """
+        names, moved = self.moved_names(scene, table), self.job.vary.bodies[table]
+        if not moved.apart:
+            return [names]
+        if (scene, table) not in self._apart_groups:
+            # a body of MuJoCo is a model, too, whose parts are named after it
+            models = set(matching_names(moved.names, [*self.scene(scene).models, *names]))
+            groups = {}
+            for name in names:
+                parts = name.split("::")
+                wholes = ("::".join(parts[:n]) for n in range(1, len(parts)))
+                groups.setdefault(next((whole for whole in wholes if whole in models), name), []).append(name)
+            self._apart_groups[scene, table] = list(groups.values())
+        return self._apart_groups[scene, table]
 
     def counts(self, output: str) -> dict[str, Counts]:
         """Return the law of each sonar's counts in an output such as "pictures", whose table may change the sonar's."""

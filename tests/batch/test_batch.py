@@ -291,6 +291,50 @@ def test_varied_values_are_uniform_within_their_bounds_and_depend_on_the_seed(sm
     assert min(shifts) >= -0.5 and max(shifts) <= 0.5
 
 
+def test_what_moves_apart_moves_as_whole_models(tmp_path):
+    """A fish does not lose its tail, be it in a model of its own or in a school; a pattern may name parts alone."""
+    link = '<link name="{}"><pose>{} 0 0 0 0 0</pose>{}</link>'
+    sphere = "<geometry><sphere><radius>0.1</radius></sphere></geometry>"
+    ball = f'<collision name="c">{sphere}<laser_retro>50</laser_retro></collision>'
+    links = link.format("head", 0.0, ball) + link.format("tail", -0.3, ball)
+    pair = "".join(
+        f'<model name="{name}"><pose>{y} 1 0 0 0 1</pose>{links}</model>' for y, name in enumerate("ab")
+    )
+    path = write_job(tmp_path, 40, "")
+    (tmp_path / "tank.sdf").write_text(
+        f'<sdf version="1.9"><world name="tank">{pair}<model name="school">{pair}</model></world></sdf>'
+    )
+    table = {
+        "apart": True,
+        "x_m": [1.0, 2.0],
+        "yaw_rad": [-3.0, 3.0],
+        "there": 0.5,
+        "reflectivity": [0.1, 0.9],
+    }
+
+    def models(*names):
+        job = Job(**read_job(path).plain | {"vary": {"bodies": [table | {"names": list(names)}]}})
+        for request in BatchRequests(job):
+            found = {}
+            for name, pose in request.bodies.items():
+                found.setdefault(name.rpartition("::")[0], []).append((pose, request.reflectivity.get(name)))
+            yield found
+
+    for found in models("a*", "b*", "school::*"):
+        assert set(found) == {"a", "b", "school::a", "school::b"}
+        there = [parts for parts in found.values() if parts[0][0] is not None]
+        assert sum(pose is not None for parts in found.values() for pose, _ in parts) == 2 * len(there)
+        for (head, mu), (tail, tail_mu) in there:
+            np.testing.assert_allclose(head @ sg.pose(-0.3), tail, atol=1e-12)
+            assert mu == tail_mu
+        assert len({parts[0][1] for parts in there}) == len(there)
+    by_part = [parts for found in models("*::head", "*::tail") for parts in found.values()]
+    assert any((head is None) != (tail is None) for (head, _), (tail, _) in by_part)
+    for found in models("*"):  # the school is one model
+        (a, mu), (b, b_mu) = found["school::a"][0], found["school::b"][0]
+        assert (a is None) == (b is None) and mu == b_mu
+
+
 def test_of_two_tables_that_name_a_body_the_later_one_counts(tmp_path):
     """As a whole, also where it changes nothing: "*" moves, and `floor` after it stays."""
     path = write_job(tmp_path, 40, "")
