@@ -159,8 +159,14 @@ class BatchRequests(Sequence):
         key = np.random.SeedSequence(self.job.seed, spawn_key=(VIEWS_STREAM, before))
         return int(key.generate_state(1, np.uint64)[0])
 
-    def rate_warnings(self) -> Iterator[str]:
-        """Yield a sentence about each trajectory whose pings follow each other faster than a sonar makes them."""
+    def device_warnings(self) -> Iterator[str]:
+        """Yield a sentence about each sonar with a longer range than the device allows.
+
+        And about each trajectory whose pings follow each other faster than a sonar makes them.
+        """
+        for sonar in self.sonars.values():
+            if beyond := sonar.beyond_limit_text():
+                yield f"warning: {self.job.where}: {beyond}"
         for k, trajectory in enumerate(self._trajectories):
             times_s = trajectory.time_s(np.arange(len(trajectory)))
             for name, sonar in self.sonars.items():

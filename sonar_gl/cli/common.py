@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,7 +52,10 @@ def sonar_from(options, scene: Scene) -> Sonar:
     else:
         sonar = named_sonar(options.sonar)
     if options.range is not None:
-        return sonar.with_range(options.range, options.bins)
+        sonar = sonar.with_range(options.range, options.bins)
+        if beyond := sonar.beyond_limit_text():
+            warnings.warn(beyond, stacklevel=2)
+        return sonar
     return sonar if options.bins is None else replace(sonar, n_bins=options.bins)
 
 

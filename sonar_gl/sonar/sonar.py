@@ -123,7 +123,7 @@ class Sonar:
     common_noise_width_deg : −3 dB width over azimuth of that noise, degrees: of a uniform array as long as a group of
         channels that have it in common
     range_limit_m : greatest range that the device allows, metres; None: not known. Programs that offer ranges to choose
-        from end there; a range beyond it is no error
+        from end there; the command line and jobs warn of a range beyond it, which is no error
 
     Raises
     ------
@@ -360,6 +360,19 @@ class Sonar:
         """
         by_device_hz = math.inf if self.ping_rate_max_hz is None else float(self.ping_rate_max_hz)
         return min(sound_speed_m_s / (2 * self.range_max_m), by_device_hz)
+
+    def beyond_limit_text(self) -> str | None:
+        """Return a sentence if the sonar is set to a longer range than the device allows, else None.
+
+        >>> load_sonar("aris-1800").with_range(30.0).beyond_limit_text()
+        "sonar 'aris-1800' allows ranges of 15 m at most, its range_limit_m (got 30 m)"
+        """
+        if self.range_limit_m is None or self.range_max_m <= self.range_limit_m:
+            return None
+        return (
+            f"sonar {self.name!r} allows ranges of {self.range_limit_m:g} m at most, its range_limit_m "
+            f"(got {self.range_max_m:g} m)"
+        )
 
     def with_range(self, range_max_m: float, n_bins: int | None = None) -> Sonar:
         """Return the sonar set to another maximum range, with bins of the same size, or as many if `keeps_n_bins`.

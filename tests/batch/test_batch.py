@@ -220,17 +220,27 @@ def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
 
 
 def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
-    assert list(requests.rate_warnings()) == []  # 5 pings a second
+    assert list(requests.device_warnings()) == []  # 5 pings a second
     level = requests.sonars["level"]
     job = requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"ping_rate_hz": 100.0}]})
     quick = BatchRequests(job)
     by_sound_hz = requests.acoustics.water.sound_speed() / (2 * level.range_max_m)
     quick.sonars = {"level": level, "slow": replace(level, ping_rate_max_hz=20.0)}
-    assert [text.split(": ", 2)[2] for text in quick.rate_warnings()] == [
+    assert [text.split(": ", 2)[2] for text in quick.device_warnings()] == [
         f"poses[0]: sonar {name!r} makes {rate_hz:.4g} pings a second at most "
         "(got 100; its range, its ping_rate_max_hz, or the times)"
         for name, rate_hz in (("level", by_sound_hz), ("slow", 20.0))
     ]
+
+
+def test_ranges_beyond_what_a_device_allows_are_warned_of(requests):
+    level = requests.sonars["level"]
+    limits = {"short": level.range_max_m / 2, "long": level.range_max_m, "unknown": None}
+    requests.sonars = {
+        name: replace(level, name=name, range_limit_m=limit_m) for name, limit_m in limits.items()
+    }
+    (text,) = requests.device_warnings()
+    assert text == f"warning: {requests.job.where}: {requests.sonars['short'].beyond_limit_text()}"
 
 
 def test_a_ping_is_made_again_with_its_noise_from_what_is_stored(tmp_path):

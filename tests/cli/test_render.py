@@ -241,6 +241,14 @@ def test_a_sequence_is_nearly_empty_if_all_its_pictures_are():
     assert err.startswith("warning: all pictures are nearly empty: ") and err.count("\n") == 1
 
 
+def test_a_range_beyond_what_the_device_allows_is_warned_of():
+    fast = "render", "tank.sdf", "--bins", 40, "--tolerance", 0.5, "--noise", "none", "--format", "npz"
+    code, _, err = run(*fast, "--sonar", "aris-1800", "--range", 16)
+    assert code == 0
+    assert err == "warning: sonar 'aris-1800' allows ranges of 15 m at most, its range_limit_m (got 16 m)\n"
+    assert run(*fast, "--sonar", "aris-1800", "--range", 15)[2] == ""
+
+
 def test_poses_that_follow_too_quickly(tmp_path):
     scene, preset = sg.load_scene("tank.sdf"), sg.load_sonar("p900-45").with_range(15.0)
     with sg.Simulator(scene, preset, sampling=sg.Sampling(0.5, 24)) as simulator:
