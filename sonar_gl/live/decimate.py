@@ -22,7 +22,8 @@ class BrowserMesh:
     Attributes
     ----------
     name : of the body
-    vertices : (V, 3) float32, metres, in the body's frame
+    vertices : (V, 3) float32, metres, relative to `middle`: browsers have no float64, and vertices may be in UTM
+    middle : (3,) float64, of the mesh's box in the body's frame
     faces : (F, 3) uint32
     pose : (4, 4) world_from_body, as the scene has it
     reflectivity : mean of the body's, 0..1
@@ -30,6 +31,7 @@ class BrowserMesh:
 
     name: str
     vertices: np.ndarray
+    middle: np.ndarray
     faces: np.ndarray
     pose: np.ndarray
     reflectivity: float
@@ -66,12 +68,14 @@ def _most_triangles(counts: list[int], total: int) -> int:
 
 
 def _browser_mesh(body: Body, most: int) -> BrowserMesh:
-    vertices = np.asarray(body.surface.vertices, np.float32)
+    vertices = np.asarray(body.surface.vertices, np.float64)
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    vertices = (vertices - middle).astype(np.float32)
     faces = np.asarray(body.surface.faces, np.int64)
     if len(faces) > most:
         vertices, faces = decimated(vertices, faces, most)
     return BrowserMesh(
-        body.name, vertices, faces.astype(np.uint32), body.pose, float(np.mean(body.reflectivity))
+        body.name, vertices, middle, faces.astype(np.uint32), body.pose, float(np.mean(body.reflectivity))
     )
 
 

@@ -105,7 +105,7 @@ class Surface:
 
     Attributes
     ----------
-    points_m : (N, 3) float32, in the world
+    points_m : (N, 3) float64, in the world
     normals : (N, 3) float32, unit normals in the world, turned towards the sonar
     body_id : (N,) uint16, 1 + index into `scene.bodies`
     """

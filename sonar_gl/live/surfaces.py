@@ -105,7 +105,7 @@ def _points_at(sector, gbuffer, world_from_eye, range_m: float, bin_size_m: floa
     rays *= (gbuffer.range_m[chosen] / np.linalg.norm(rays, axis=-1))[:, None]
     turn, origin = world_from_eye[:3, :3], world_from_eye[:3, 3]
     return (
-        (rays @ turn.T + origin).astype(np.float32),
+        rays @ turn.T + origin,
         (gbuffer.normal[chosen] @ turn.T).astype(np.float32),
         gbuffer.body_id[chosen],
     )

@@ -22,6 +22,8 @@ from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
 from sonar_gl.scene.obj_text import tidy_obj
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
 
+# What positions may be rounded by before there is a warning, metres: about the finest bins of an imaging sonar
+MAX_STEP_M = 0.01
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
 Y_UP_SUFFIXES = BUFFER_SUFFIXES = (".glb", ".gltf")
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
@@ -149,8 +151,8 @@ def _first_line(why: Exception | str) -> str:
 
 
 def _read_parts(scene, path: Path) -> list[MeshPart]:
-    """Return the placed geometries of a trimesh.Scene that was read from a file."""
-    parts = []
+    """Return the placed geometries of a trimesh.Scene that was read from a file; warn of positions that are rounded."""
+    parts, step_m = [], 0.0
     for node in scene.graph.nodes_geometry:
         matrix, key = scene.graph[node]
         mesh = scene.geometry[key]
@@ -169,13 +171,27 @@ def _read_parts(scene, path: Path) -> list[MeshPart]:
             raise Error(f"{path}: faces must name vertices that exist (not so in geometry {key!r})")
         units = str(mesh.metadata.get("units", "")).split(" * ")
         scale = np.diag([float(units[0])] * 3 + [1.0]) if len(units) == 2 else np.eye(4)
-        shape = make_shape(mesh.vertices, mesh.faces, normals)
-        parts.append(MeshPart(_name_in_file(scene, node, mesh), key, transform(shape, scale @ matrix)))
+        shape, placed = make_shape(mesh.vertices, mesh.faces, normals), scale @ matrix
+        step_m = max(step_m, _step(shape.mesh.vertices) * float(np.abs(placed[:3, :3]).max()))
+        parts.append(MeshPart(_name_in_file(scene, node, mesh), key, transform(shape, placed)))
     if not parts:
         raise Error(
             f"{path}: a mesh must have at least one face (got none: the file is cut short, or a point cloud)"
         )
+    if step_m > MAX_STEP_M:
+        warn_caller(
+            f"{path}: positions of vertices are rounded to steps of {step_m:.2g} m, since they are far from the file's "
+            "origin and in single precision (move the mesh to the origin before it is written, and place it by a pose; "
+            "or write an OBJ or a PLY of doubles)"
+        )
     return parts
+
+
+def _step(vertices: np.ndarray) -> float:
+    """Return the step of positions, (V, 3), that are in single precision; 0 of others."""
+    if (vertices != vertices.astype(np.float32)).any():
+        return 0.0
+    return float(np.spacing(np.abs(vertices).max().astype(np.float32)))
 
 
 def _name_in_file(scene, node: str, mesh) -> str:

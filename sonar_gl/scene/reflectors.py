@@ -94,7 +94,11 @@ def find_planes(surface) -> list[tuple[np.ndarray, float, float]]:
     faces = np.asarray(surface.faces)
     if len(faces) > MAX_FACES:
         return []
-    a, b, c = np.asarray(surface.vertices, np.float64)[faces.T]
+    vertices = np.asarray(surface.vertices, np.float64)
+    # Relative to the middle of the mesh: far from its origin, as in UTM, a rounded normal moves the plane by much, and
+    # the tolerance that allows for it would join parallel planes.
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    a, b, c = (vertices - middle)[faces.T]
     normals = np.cross(b - a, c - a)
     area = np.linalg.norm(normals, axis=1) / 2
     valid = area > 0
@@ -109,7 +113,7 @@ def find_planes(surface) -> list[tuple[np.ndarray, float, float]]:
         remaining &= ~coplanar
         if area[coplanar].sum() < max(MIN_AREA_M2, MIN_AREA_SHARE * area.sum()):
             break  # the largest of the remaining faces is smaller still
-        out.append((normal, float(offset), float(area[coplanar].sum())))
+        out.append((normal, float(offset + normal @ middle), float(area[coplanar].sum())))
     return out
 
 

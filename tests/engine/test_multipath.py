@@ -10,6 +10,7 @@ import sonar_gl as sg
 from sonar_gl.engine import multipath, pipeline
 from sonar_gl.raster.cull import MARGIN
 from sonar_gl.scene.reflectors import (
+    MAX_PLANES,
     MIN_AREA_M2,
     N_SINES,
     find_planes,
@@ -411,6 +412,21 @@ def test_parallel_planes_are_apart_and_parts_of_one_plane_are_not():
         tiles = [corners + np.array([2 * k, 0, 2.0 + step_m * k]) for k in range(3)]
         planes = find_planes(trimesh.Trimesh(np.concatenate(tiles), faces, process=False))
         np.testing.assert_allclose([offset for _, offset, _ in planes], expected, atol=1e-12)
+
+
+def test_planes_of_a_mesh_in_utm_are_those_at_the_origin():
+    """Two walls that face one way were one plane, since the tolerance grew with the distance from the origin."""
+    away = np.array([500_000.0, 4_500_000.0, -30.0])
+    here = trimesh.util.concatenate(
+        [trimesh.creation.box((1, 30, 8)), trimesh.creation.box((1, 29, 6)).apply_translation((18, 0, 1))]
+    ).apply_transform(random_rotation(np.random.default_rng(3)))
+    there = here.copy().apply_translation(away)
+    expected = sorted((*normal.round(6), offset, area) for normal, offset, area in find_planes(here))
+    found = sorted((*n.round(6), offset - n @ away, area) for n, offset, area in find_planes(there))
+    assert len(expected) == MAX_PLANES
+    np.testing.assert_allclose(
+        found, expected, atol=1e-5
+    )  # metres and square metres; float64 there has 1e-9 m
 
 
 def test_curved_bodies_and_terrain_are_not_reflectors():

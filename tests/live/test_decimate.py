@@ -12,7 +12,7 @@ def test_a_small_scene_stays_as_it_is():
     scene = sg.load_scene("pylon")
     for mesh, body in zip(browser_meshes(scene), scene.bodies, strict=True):
         assert mesh.name == body.name and mesh.pose.tolist() == body.pose.tolist()
-        assert mesh.vertices.tolist() == np.float32(body.surface.vertices).tolist()
+        np.testing.assert_allclose(mesh.vertices + mesh.middle, body.surface.vertices, rtol=0, atol=1e-6)
         assert mesh.faces.tolist() == np.asarray(body.surface.faces).tolist()
 
 
@@ -29,10 +29,24 @@ def test_a_ball_keeps_its_shape(most):
     # In a cell of side c, the mean of points on a sphere lies within (c√3/2)² / 2r of it. A cell of a plane has two
     # triangles; here, where cells are cut and their sizes tried in steps, at least one on c².
     cell_squared = 4 * np.pi * 2.0**2 / (n_faces / 2)
-    inside_m = 2.0 - np.linalg.norm(found[0].vertices, axis=1)
+    inside_m = 2.0 - np.linalg.norm(found[0].vertices + found[0].middle, axis=1)
     assert inside_m.min() > -1e-6  # of float32
     assert inside_m.max() < 3 / 4 * cell_squared / (2 * 2.0)
     assert scene.bodies[0].mesh.vertices.tolist() == before.tolist()
+
+
+@pytest.mark.parametrize("most", [20_000, 200])
+def test_a_mesh_in_utm_is_that_at_the_origin(most):
+    """Its vertices were rounded to float32, to half a metre."""
+    away = np.array([500_000.0, 4_500_000.0, -30.0])
+    ball = trimesh.creation.icosphere(4, 2.0)
+    there = ball.copy().apply_translation(away)
+    (expected,), (found,) = (browser_meshes(sg.Scene([sg.Body("b", one)]), most) for one in (ball, there))
+    np.testing.assert_allclose(found.middle, away, rtol=0, atol=1e-8)
+    if most > len(ball.faces):
+        np.testing.assert_allclose(found.vertices, expected.vertices, rtol=0, atol=1e-6)
+    assert np.linalg.norm(found.vertices, axis=1).max() < 2.0 + 1e-5
+    assert len(found.faces) == pytest.approx(len(expected.faces), rel=0.1)
 
 
 def test_many_bodies_share_the_triangles_and_the_smallest_are_left_out():

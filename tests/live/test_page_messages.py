@@ -10,6 +10,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis import terms as terms_module
@@ -104,6 +105,19 @@ def test_a_body_is_dragged_and_put_back(session, browser):
     browser.press("Put all back")
     wait_until(lambda: browser.nodes[node]["position"] == home)
     assert session.bodies()["box"][:3, 3].tolist() == home
+
+
+def test_a_mesh_in_utm_is_shown_in_its_place(tmp_path):
+    """Its vertices are relative to its middle, since browsers round them to float32."""
+    away = np.array([500_000.0, 4_500_000.25, -30.0])
+    wall = trimesh.creation.box((0.2, 4.0, 4.0)).apply_translation(away)
+    scene = sg.Scene([sg.Body("wall", wall)], sonar_pose=sg.pose(*away - [5.0, 0.0, 0.0]))
+    with (
+        LiveSession(scene, SETTINGS, folder=tmp_path / "out") as session,
+        ViewerPage(session, port=0) as page,
+        connected(page.url) as browser,
+    ):
+        wait_until(lambda: browser.nodes.get("/bodies/0", {}).get("position") == away.tolist())
 
 
 def words(browser, label):

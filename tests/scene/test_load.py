@@ -199,6 +199,32 @@ def test_the_reflectivity_that_a_mesh_file_lacks_is_told_of(tmp_path, suffix):
     assert {body.reflectivity for body in scene.bodies} == {0.5}
 
 
+@pytest.mark.parametrize(
+    ("suffix", "away_m", "step_m"),
+    [
+        *((suffix, 4_500_000.37, 0.5) for suffix in ("dae", "glb", "ply", "stl")),
+        *((suffix, 10_000.37, None) for suffix in ("dae", "glb", "ply", "stl")),
+        ("obj", 4_500_000.37, None),
+    ],
+)
+def test_vertices_that_single_precision_rounds_are_told_of(tmp_path, suffix, away_m, step_m):
+    """A quay wall in UTM was read with steps of half a metre, without a word."""
+    path = tmp_path / f"a.{suffix}"
+    trimesh.creation.box((1.1, 2.2, 3.3)).apply_translation((0, away_m, 0)).export(path)
+    with pytest.warns(UserWarning) as caught:
+        load_scene(path)
+    *said, _ = [str(w.message) for w in caught if w.category is UserWarning]
+    assert said == (
+        []
+        if step_m is None
+        else [
+            f"{path}: positions of vertices are rounded to steps of {step_m} m, since they are far from the file's "
+            "origin and in single precision (move the mesh to the origin before it is written, and place it by a "
+            "pose; or write an OBJ or a PLY of doubles)"
+        ]
+    )
+
+
 def test_normals_of_a_glb_turn_with_it(tmp_path):
     ball = trimesh.creation.icosphere(1)
     ball.export(tmp_path / "a.glb", include_normals=True)

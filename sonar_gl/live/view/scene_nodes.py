@@ -11,6 +11,7 @@ from trimesh.transformations import quaternion_from_matrix, quaternion_matrix
 
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.imaging.fan_image import FanGeometry, fan_geometry
 from sonar_gl.live.decimate import BrowserMesh, browser_meshes
 from sonar_gl.live.frame import LiveFrame, Surface
@@ -109,7 +110,7 @@ class SceneNodes:
         self._bodies = {
             mesh.name: self._add_body(number, mesh, on_body) for number, mesh in enumerate(meshes)
         }
-        self._middles = {mesh.name: _middle(mesh) for mesh in meshes}
+        self._middles = {mesh.name: make_pose(*mesh.middle) for mesh in meshes}
         self._home = {mesh.name: mesh.pose for mesh in meshes}
         self._poses = dict(self._home)
         self._sonar = scene.add_frame("/sonar", show_axes=False)
@@ -141,7 +142,7 @@ class SceneNodes:
             if world_from_body is not self._poses[name]:
                 node.visible = world_from_body is not None
                 if world_from_body is not None:
-                    put(node, world_from_body)
+                    put(node, world_from_body @ self._middles[name])
                 self._poses[name] = world_from_body
                 if name == self._selected and not self._is_dragging_body:
                     self._follow_body()
@@ -168,13 +169,15 @@ class SceneNodes:
             self._surface.remove()
             self._surface = None
         if surface is not None and len(surface.points_m):
+            first = surface.points_m[0]  # browsers have no float64
             self._surface = self._server.scene.add_point_cloud(
                 "/surface",
-                np.asarray(surface.points_m, np.float32),
+                (surface.points_m - first).astype(np.float32),
                 SURFACE_COLOR,
                 point_size=max(0.02, 0.006 * range_m),
                 point_shape="circle",
                 precision="float32",
+                position=first,
             )
 
     def select(self, name: str) -> None:
@@ -186,8 +189,7 @@ class SceneNodes:
         self._let_through(name)
         self._selected = name
         if name in self._bodies:
-            self._center = np.eye(4)
-            self._center[:3, 3] = self._middles[name]
+            self._center = self._middles[name]
             self._follow_body()
         self._body_gizmo.visible = name in self._bodies  # last: from now on it can be dragged
 
@@ -228,7 +230,7 @@ class SceneNodes:
             cast_shadow=False,
             receive_shadow=False,
         )
-        put(node, mesh.pose)
+        put(node, mesh.pose @ make_pose(*mesh.middle))
 
         async def clicked(event):
             self._actions.ask(event.client, lambda: on_body(mesh.name))
@@ -315,13 +317,16 @@ class SceneNodes:
     def _add_path(self) -> None:
         track = self._session.track
         times_s = np.linspace(0, track.duration_s, 200)
-        points = np.array([track.at(time_s)[:3, 3] for time_s in times_s], np.float32)
+        points = np.array([track.at(time_s)[:3, 3] for time_s in times_s])
+        first = points[0].copy()
+        points = (points - first).astype(np.float32)
         self._server.scene.add_line_segments(
             "/path",
             np.stack([points[:-1], points[1:]], 1),
             (90, 200, 160),
             thickness=2.0,
             thickness_units="screen",
+            position=first,
         )
 
 
@@ -339,11 +344,6 @@ def _color(number: int) -> tuple[int, int, int]:
 def _selected_color(number: int) -> tuple[int, int, int]:
     """Return half the colour of a body, since a floor all of another colour would drown the scene."""
     return tuple((own + marked) // 2 for own, marked in zip(_color(number), SELECTED_COLOR, strict=True))
-
-
-def _middle(mesh: BrowserMesh) -> np.ndarray:
-    """Return the middle of a mesh's box in the body's frame, (3,): where a gizmo is easy to find."""
-    return (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2 if len(mesh.vertices) else np.zeros(3)
 
 
 def _extent(device: Sonar) -> tuple:
