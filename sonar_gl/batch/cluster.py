@@ -11,7 +11,7 @@ import queue
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, lru_cache, partial
 from importlib.util import find_spec
 
@@ -301,6 +301,7 @@ def _keep_freed_memory() -> None:
     Dask starts workers with MALLOC_TRIM_THRESHOLD_. With any value of it glibc takes the pages of every large
     array from the kernel anew, which halves the pings per second.
     """
-    if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):
+    with suppress(OSError, AttributeError, TypeError):  # another C library; TypeError: of Windows
+        mallopt = ctypes.CDLL(None).mallopt
         mallopt(M_MMAP_THRESHOLD, 32 << 20)
         mallopt(M_TRIM_THRESHOLD, 64 << 20)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -25,6 +24,12 @@ from sonar_gl.core.atomic_file import temporary_path
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import describe_kind
 
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None
+    import msvcrt
+
 LOCK, UNFINISHED = ".lock", ".begun"  # the latter is a folder of files that are being written
 CHECKSUM_KEY = "sha256"  # of a record: that of its other keys
 
@@ -35,9 +40,10 @@ class DamagedRecordError(Error):
 
 def sync_file_system(path: str) -> None:
     """Write all that waits in memory for the file system of a folder to its disk."""
-    syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
-    if syncfs is None:  # Linux has it
-        os.sync()
+    syncfs = _syncfs()
+    if syncfs is None:
+        if hasattr(os, "sync"):  # Windows flushes single files alone
+            os.sync()
         return
     with _descriptor(path) as descriptor:
         if syncfs(descriptor):
@@ -45,8 +51,18 @@ def sync_file_system(path: str) -> None:
             raise OSError(code, os.strerror(code), path)
 
 
+def _syncfs():
+    """Return Linux's function that flushes a file system, or None where there is another C library."""
+    try:
+        return ctypes.CDLL(None, use_errno=True).syncfs
+    except (OSError, AttributeError, TypeError):  # TypeError: of Windows
+        return None
+
+
 def sync(path: str) -> None:
     """Write a file, or the names in a folder, to the disk."""
+    if fcntl is None and os.path.isdir(path):  # Windows cannot
+        return
     with _descriptor(path) as descriptor:
         try:
             os.fsync(descriptor)
@@ -57,11 +73,20 @@ def sync(path: str) -> None:
 
 @contextmanager
 def _descriptor(path: str):
-    descriptor = os.open(path, os.O_RDONLY)
+    # Windows flushes what is open for writing
+    descriptor = os.open(path, os.O_RDONLY if fcntl else os.O_RDWR)
     try:
         yield descriptor
     finally:
         os.close(descriptor)
+
+
+def _lock(descriptor: int) -> None:
+    """Lock a file; raise a BlockingIOError, or a PermissionError on Windows, if another process has locked it."""
+    if fcntl is not None:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    else:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
 
 
 def record_bytes(values: dict) -> bytes:
@@ -134,11 +159,10 @@ class Folder:
         if not self.is_local:
             yield
             return
-        with Path(self.path(LOCK)).open("w") as file:
+        with Path(self.path(LOCK)).open("wb") as file:
             try:
-                # released when the process ends, however it does
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                _lock(file.fileno())  # released when the process ends, however it does
+            except (BlockingIOError, PermissionError):
                 raise Error(
                     f"{self.root}: must have one batch at a time (another is running in it)"
                 ) from None

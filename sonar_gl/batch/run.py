@@ -82,8 +82,15 @@ def devices_of(workers: int | None, devices) -> list[int | None]:
     devices : devices that the processes take in turn; empty for the default device
     """
     devices = list(devices) or [None]
-    count = workers or max(len(os.sched_getaffinity(0)), len(devices))
+    count = workers or max(_count_cores(), len(devices))
     return [devices[k % len(devices)] for k in range(count)]
+
+
+def _count_cores() -> int:
+    """Return how many cores this process may use; all of the machine where the system does not tell."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,14 @@ A command's work is done by another module of the package, which is loaded when 
 
 from __future__ import annotations
 
+import _thread
 import errno
 import json
 import signal
 import sys
 import threading
 import warnings
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -75,7 +77,7 @@ def _interrupts():
     def interrupt(number, frame):
         if _count_imports(frame) <= n_around:
             raise KeyboardInterrupt
-        again = threading.Timer(IMPORT_PAUSE_S, signal.pthread_kill, (threading.get_ident(), number))
+        again = threading.Timer(IMPORT_PAUSE_S, *_sending(number))
         again.daemon = True
         waiting.append(again)
         again.start()
@@ -92,6 +94,13 @@ def _interrupts():
             again.cancel()
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)  # None: of a handler that Python cannot set
+
+
+def _sending(number: int) -> tuple[Callable, tuple]:
+    """Return a function that sends this thread, the main one, a signal, and its arguments."""
+    if hasattr(signal, "pthread_kill"):
+        return signal.pthread_kill, (threading.get_ident(), number)
+    return _thread.interrupt_main, (number,)  # on Windows
 
 
 def _count_imports(frame) -> int:

@@ -70,4 +70,5 @@ class CollectorPause(EndedPause):
 
 
 _collector = _Collector()
-os.register_at_fork(after_in_child=_collector.forget)
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    os.register_at_fork(after_in_child=_collector.forget)

@@ -31,7 +31,7 @@ def _malloc_trim():
     """Return glibc's malloc_trim, or None where there is another C library."""
     try:
         return ctypes.CDLL(None).malloc_trim
-    except (OSError, AttributeError):
+    except (OSError, AttributeError, TypeError):  # TypeError: of Windows
         return None
 
 

@@ -8,7 +8,7 @@ import re
 from contextlib import contextmanager
 from typing import NamedTuple
 
-import glcontext.egl
+import glcontext
 import moderngl
 
 from sonar_gl.core.checks import is_whole_number
@@ -169,12 +169,14 @@ def make_context(loader) -> moderngl.Context:
 @_preserve_default_context()
 def egl_context(index: int | None) -> moderngl.Context:
     """Return a context without a window on an EGL device, by its index, or on glcontext's own choice for None."""
+    from glcontext import egl as native_egl  # which its builds for macOS and Windows lack
+
     egl.process_contexts.use()
     settings = {"mode": "standalone", "glversion": REQUIRED_GL, **LIBRARIES}
     if index is None:  # glcontext's own choice
         native = glcontext.get_backend_by_name("egl")(**settings)
     else:  # the layer below, where environment variables do not override the index
-        native = glcontext.egl.create_context(device_index=index, **settings)
+        native = native_egl.create_context(device_index=index, **settings)
     if egl.current() is None:
         native.release()
         raise Error(egl.REFUSED)

@@ -134,7 +134,8 @@ class ProcessContexts:
 
 
 process_contexts = ProcessContexts()
-os.register_at_fork(after_in_child=process_contexts.fork)
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    os.register_at_fork(after_in_child=process_contexts.fork)
 
 
 class EglContext:

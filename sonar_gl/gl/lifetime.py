@@ -145,4 +145,5 @@ discard, release, release_waiting, waiting = (
     _queue.release_waiting,
     _queue.waiting,
 )
-os.register_at_fork(after_in_child=_queue.forget)
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    os.register_at_fork(after_in_child=_queue.forget)

@@ -24,6 +24,7 @@ from sonar_gl.sonar.samples import ViewSamples
 ENGINES = "auto", "opengl", "cpu"
 ENGINE_VARIABLE, DEVICE_VARIABLE = "SONAR_GL_ENGINE", "SONAR_GL_DEVICE"
 # Files of graphics drivers in /dev: a machine without any of them has no graphics card, and needs no OpenGL to say so.
+WITHOUT_EGL = "darwin", "win32"  # the package that makes contexts by EGL has none on these
 CARDS = "dri/renderD*", "nvidia[0-9]*", "dxg", "mali*", "kgsl*"
 
 
@@ -127,7 +128,9 @@ def check_engine(engine: str | None) -> str:
 
 
 def has_graphics_card() -> bool:
-    """Return whether there may be a graphics card, by the files of its driver; True where that does not tell."""
+    """Return whether EGL may have a graphics card, by the files of its driver; True where that does not tell."""
+    if sys.platform in WITHOUT_EGL:
+        return False
     return sys.platform != "linux" or any(any(Path("/dev").glob(pattern)) for pattern in CARDS)
 
 
