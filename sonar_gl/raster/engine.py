@@ -23,8 +23,8 @@ from sonar_gl.sonar.samples import ViewSamples
 
 ENGINES = "auto", "opengl", "cpu"
 ENGINE_VARIABLE, DEVICE_VARIABLE = "SONAR_GL_ENGINE", "SONAR_GL_DEVICE"
+WITHOUT_EGL = "darwin", "win32"  # systems on which the package that makes contexts has none by EGL
 # Files of graphics drivers in /dev: a machine without any of them has no graphics card, and needs no OpenGL to say so.
-WITHOUT_EGL = "darwin", "win32"  # the package that makes contexts by EGL has none on these
 CARDS = "dri/renderD*", "nvidia[0-9]*", "dxg", "mali*", "kgsl*"
 
 
