@@ -101,6 +101,7 @@ def test_a_ping_is_drawn_by_the_cpu_and_saved(system, tmp_path):
     assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".npz"}
 
 
+@pytest.mark.slow
 def test_the_check_of_opengl_says_that_the_cpu_draws(tmp_path):
     script = tmp_path / "check.py"
     script.write_text(
@@ -110,6 +111,7 @@ def test_the_check_of_opengl_says_that_the_cpu_draws(tmp_path):
     assert "None OpenGL must be reachable" in text and "pings are drawn by the CPU" in text
 
 
+@pytest.mark.slow
 def test_a_batch_is_made_in_a_folder_that_it_locks(tmp_path):
     job, out, script = write_plain_job(tmp_path, 2, 1, OUTPUTS), tmp_path / "out", tmp_path / "second.py"
     run_on("windows", "sonar-gl", "batch", job, "--workers", "1", "--out", out)
@@ -118,6 +120,7 @@ def test_a_batch_is_made_in_a_folder_that_it_locks(tmp_path):
     assert "must have one batch at a time (another is running in it)" in run_on("windows", script)
 
 
+@pytest.mark.slow
 @every_system
 def test_a_batch_takes_all_cores_where_the_system_does_not_say_which(system, tmp_path):
     script = tmp_path / "cores.py"
@@ -125,6 +128,7 @@ def test_a_batch_takes_all_cores_where_the_system_does_not_say_which(system, tmp
     assert run_on(system, script).split()[-1] == "True"
 
 
+@pytest.mark.slow
 @every_system
 def test_memory_and_allocators_of_other_systems_are_left_alone(system, tmp_path):
     script = tmp_path / "memory.py"
@@ -132,6 +136,7 @@ def test_memory_and_allocators_of_other_systems_are_left_alone(system, tmp_path)
     assert run_on(system, script).split()[-1] == "7.0"
 
 
+@pytest.mark.slow
 def test_a_signal_within_an_import_is_not_lost_without_pthread_kill(tmp_path):
     (tmp_path / "imports_anything.py").write_text(IMPORT, encoding="utf-8")
     script = tmp_path / "interrupted.py"
@@ -139,6 +144,7 @@ def test_a_signal_within_an_import_is_not_lost_without_pthread_kill(tmp_path):
     assert "error: interrupted" in run_on("windows", script, status=130)
 
 
+@pytest.mark.slow
 @every_system
 def test_asking_for_opengl_says_that_there_is_none(system, tmp_path):
     text = run_on(system, "sonar-gl", "render", "pylon", "--engine", "opengl", "--out", tmp_path, status=2)
