@@ -18,7 +18,7 @@ from sonar_gl.live.view.browser_state import BrowserState
 from sonar_gl.live.view.control_panel import CAMERA, KEYS, TRAJECTORY, ControlPanel
 from sonar_gl.live.view.origin import own_page_alone
 from sonar_gl.live.view.ping_panel import PingPanel
-from sonar_gl.live.view.scene_nodes import SceneNodes, camera_sonar_pose
+from sonar_gl.live.view.scene_nodes import SceneNodes
 from sonar_gl.live.view.wrong_messages import WrongMessages
 
 logger = logging.getLogger(__name__)
@@ -129,7 +129,7 @@ class ViewerPage:
                 if self._carrier == client.client_id:
                     self._actions.ask(
                         client,
-                        lambda: self._session.set_pose(camera_sonar_pose(camera)),
+                        lambda: self._session.set_pose(self._nodes.camera_pose(camera)),
                         ("camera", client.client_id),
                     )
 
@@ -201,10 +201,7 @@ class ViewerPage:
         before = self._carrier
         self._carrier = None
         if client is not None:
-            pose = self._session.pose
-            client.camera.up_direction = (0.0, 0.0, 1.0)
-            client.camera.position = pose[:3, 3]
-            client.camera.look_at = pose[:3, 3] + 3.0 * pose[:3, 0]
+            self._nodes.look_ahead(client.camera, self._session.pose)
             self._carrier = client.client_id
         elif before is not None:
             for other in self.server.get_clients().values():

@@ -107,8 +107,8 @@ def test_a_body_is_dragged_and_put_back(session, browser):
     assert session.bodies()["box"][:3, 3].tolist() == home
 
 
-def test_a_mesh_in_utm_is_shown_in_its_place(tmp_path):
-    """Its vertices are relative to its middle, since browsers round them to float32."""
+def test_a_mesh_in_utm_and_the_sonar_before_it_are_shown_in_their_places(tmp_path):
+    """Its vertices are relative to its middle, since browsers round them to float32, and all to a place near by."""
     away = np.array([500_000.0, 4_500_000.25, -30.0])
     wall = trimesh.creation.box((0.2, 4.0, 4.0)).apply_translation(away)
     scene = sg.Scene([sg.Body("wall", wall)], sonar_pose=sg.pose(*away - [5.0, 0.0, 0.0]))
@@ -116,8 +116,17 @@ def test_a_mesh_in_utm_is_shown_in_its_place(tmp_path):
         LiveSession(scene, SETTINGS, folder=tmp_path / "out") as session,
         ViewerPage(session, port=0) as page,
         connected(page.url) as browser,
+        telling(browser),
     ):
-        wait_until(lambda: browser.nodes.get("/bodies/0", {}).get("position") == away.tolist())
+        home = wait_until(lambda: browser.nodes.get("/bodies/0", {}).get("position"))
+        there = wait_until(lambda: browser.nodes.get("/sonar", {}).get("position"))
+        assert np.subtract(home, there).tolist() == [5.0, 0.0, 0.0] and np.abs(home).max() <= 500.0
+        # viser takes moves as none that are less than a hundred-thousandth of a position, here 45 m
+        session.set_pose(sg.pose(*away - [4.5, 0.0, 0.0]))
+        at = wait_until(lambda: (at := browser.nodes["/sonar"]["position"]) != there and at)
+        assert np.subtract(home, at).tolist() == [4.5, 0.0, 0.0]
+        browser.drag("/move_sonar", (1.0, 0.0, 0.0, 0.0), np.subtract(home, [3.0, 0.0, 0.0]).tolist())
+        wait_until(lambda: position(session) == (away - [3.0, 0.0, 0.0]).tolist())
 
 
 def words(browser, label):

@@ -37,6 +37,9 @@ WATER_LIGHT = (205, 222, 232)  # what the water scatters: without it, walls woul
 GIZMO_PIXELS = 90.0  # of the screen: length of an arrow
 # pixels of the picture in the scene up to the last range; PNGs, which are clear outside the fan
 PLANE_HEIGHT = 320
+# The page's origin is a multiple of it, metres: viser drops moves that are small beside the distance from the origin,
+# in UTM those of metres.
+SITE_STEP_M = 1000.0
 # of a camera: x right, y down, z ahead
 SONAR_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -58,13 +61,6 @@ def put(node, pose: np.ndarray) -> None:
     node.position, node.wxyz = pose[:3, 3], quaternion_from_matrix(pose)
 
 
-def camera_sonar_pose(camera) -> np.ndarray:
-    """Return the (4, 4) pose of a sonar that looks as a browser's camera does."""
-    out = pose_of(camera.wxyz, camera.position)
-    out[:3, :3] = out[:3, :3] @ SONAR_FROM_CAMERA.T
-    return out
-
-
 class PicturePart(NamedTuple):
     """A part of the picture in the scene, and its node.
 
@@ -76,7 +72,7 @@ class PicturePart(NamedTuple):
 
 
 class SceneNodes:
-    """The nodes of viser's scene that show a session.
+    """The nodes of viser's scene that show a session, relative to an origin near the first pose of its sonar.
 
     Parameters
     ----------
@@ -95,6 +91,7 @@ class SceneNodes:
     ):
         self._server, self._session, self._actions = server, session, actions
         self._pose, self._device, self._selected = None, None, ""
+        self._origin_m = SITE_STEP_M * np.round(session.pose[:3, 3] / SITE_STEP_M)
         self._pictures: list[PicturePart] = []
         self._picture_extent = None  # what these depend on
         self._is_dragging = self._is_dragging_body = False
@@ -116,7 +113,7 @@ class SceneNodes:
         self._sonar = scene.add_frame("/sonar", show_axes=False)
         self._outline = self._arcs = self._housing = self._surface = None
         self._gizmo = self._add_gizmo("/move_sonar")
-        put(self._gizmo, session.pose)
+        put(self._gizmo, self._on_page(session.pose))
         self._body_gizmo = self._add_gizmo("/move_body", visible=False)
         self._center = np.eye(4)
         self._connect_gizmos()
@@ -133,16 +130,16 @@ class SceneNodes:
             self._draw_fan(device)
         self._device = device
         if self._pose is None or not np.array_equal(self._pose, frame.pose):
-            put(self._sonar, frame.pose)
+            put(self._sonar, self._on_page(frame.pose))
             self._pose = frame.pose
         if not (self._is_dragging or self._actions.waits(id(self._gizmo))):
-            _put_if_moved(self._gizmo, pose)
+            _put_if_moved(self._gizmo, self._on_page(pose))
         for name, node in self._bodies.items():
             world_from_body = frame.bodies.get(name, self._home[name])
             if world_from_body is not self._poses[name]:
                 node.visible = world_from_body is not None
                 if world_from_body is not None:
-                    put(node, world_from_body @ self._middles[name])
+                    put(node, self._on_page(world_from_body @ self._middles[name]))
                 self._poses[name] = world_from_body
                 if name == self._selected and not self._is_dragging_body:
                     self._follow_body()
@@ -177,7 +174,7 @@ class SceneNodes:
                 point_size=max(0.02, 0.006 * range_m),
                 point_shape="circle",
                 precision="float32",
-                position=first,
+                position=first - self._origin_m,
             )
 
     def select(self, name: str) -> None:
@@ -212,10 +209,36 @@ class SceneNodes:
         ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0.0, 0.0])
         # to starboard a little, so that the fan is not seen edge on
         side = np.array([ahead[1], -ahead[0], 0.0])
-        place = pose[:3, 3] - 0.28 * far_m * ahead + 0.14 * far_m * side + [0.0, 0.0, 0.36 * far_m]
+        at_m = self._on_page(pose)[:3, 3]
+        place = at_m - 0.28 * far_m * ahead + 0.14 * far_m * side + [0.0, 0.0, 0.36 * far_m]
         camera.up_direction = (0.0, 0.0, 1.0)
         camera.position = place
-        camera.look_at = pose[:3, 3] + 0.42 * far_m * ahead - [0.0, 0.0, 0.08 * far_m]
+        camera.look_at = at_m + 0.42 * far_m * ahead - [0.0, 0.0, 0.08 * far_m]
+
+    def look_ahead(self, camera, pose: np.ndarray) -> None:
+        """Have a camera look as a sonar does."""
+        at_m = self._on_page(pose)[:3, 3]
+        camera.up_direction = (0.0, 0.0, 1.0)
+        camera.position = at_m
+        camera.look_at = at_m + 3.0 * pose[:3, 0]
+
+    def camera_pose(self, camera) -> np.ndarray:
+        """Return the (4, 4) pose of a sonar that looks as a browser's camera does."""
+        out = self._in_world(pose_of(camera.wxyz, camera.position))
+        out[:3, :3] = out[:3, :3] @ SONAR_FROM_CAMERA.T
+        return out
+
+    def _on_page(self, pose: np.ndarray) -> np.ndarray:
+        """Return a (4, 4) pose in the world as the page has it."""
+        out = np.array(pose)
+        out[:3, 3] -= self._origin_m
+        return out
+
+    def _in_world(self, pose: np.ndarray) -> np.ndarray:
+        """Return a (4, 4) pose on the page as the world has it."""
+        out = np.array(pose)
+        out[:3, 3] += self._origin_m
+        return out
 
     # ---- nodes --------------------------------------------------------------------------------------------
 
@@ -230,7 +253,7 @@ class SceneNodes:
             cast_shadow=False,
             receive_shadow=False,
         )
-        put(node, mesh.pose @ make_pose(*mesh.middle))
+        put(node, self._on_page(mesh.pose @ make_pose(*mesh.middle)))
 
         async def clicked(event):
             self._actions.ask(event.client, lambda: on_body(mesh.name))
@@ -296,7 +319,9 @@ class SceneNodes:
         async def _(event):
             self._is_dragging = event.phase != "end"
             place = gizmo.wxyz, gizmo.position
-            self._actions.ask(event.client, lambda: self._session.set_pose(pose_of(*place)), id(gizmo))
+            self._actions.ask(
+                event.client, lambda: self._session.set_pose(self._in_world(pose_of(*place))), id(gizmo)
+            )
 
         @body_gizmo.on_update
         async def _(event):
@@ -304,7 +329,9 @@ class SceneNodes:
             name, center, place = self._selected, self._center, (body_gizmo.wxyz, body_gizmo.position)
             self._actions.ask(
                 event.client,
-                lambda: self._session.move_body(name, pose_of(*place) @ np.linalg.inv(center)),
+                lambda: self._session.move_body(
+                    name, self._in_world(pose_of(*place)) @ np.linalg.inv(center)
+                ),
                 (id(body_gizmo), name),
             )
 
@@ -312,7 +339,7 @@ class SceneNodes:
         """Put the gizmo of the selected body where that is now."""
         pose = self._session.bodies().get(self._selected)
         if pose is not None:
-            put(self._body_gizmo, pose @ self._center)
+            put(self._body_gizmo, self._on_page(pose @ self._center))
 
     def _add_path(self) -> None:
         track = self._session.track
@@ -326,7 +353,7 @@ class SceneNodes:
             (90, 200, 160),
             thickness=2.0,
             thickness_units="screen",
-            position=first,
+            position=first - self._origin_m,
         )
 
 
@@ -361,6 +388,6 @@ def _put_if_moved(node, pose: np.ndarray) -> None:
 def _stands_at(node, pose: np.ndarray) -> bool:
     """Return whether a node is at a pose; False, too, for numbers of a browser that are no pose."""
     try:
-        return bool(np.allclose(pose_of(node.wxyz, node.position), pose, atol=1e-6))
+        return bool(np.allclose(pose_of(node.wxyz, node.position), pose, rtol=0.0, atol=1e-6))
     except Error:
         return False
