@@ -777,8 +777,11 @@ def _below(s, middle, wide, thin):
 
 @uncounted
 def _slanted(rise, s, nearer, further, wide):
-    """Return the density between two places in s, over that of an even footprint about s; ramps are as at its ends."""
-    return 1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide)
+    """Return the density between two places in s, over that of an even footprint about s; ramps are as at its ends.
+
+    At an end without density rounding would make it negative.
+    """
+    return max(1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide), 0.0)
 
 
 @uncounted
@@ -872,9 +875,9 @@ def spread_footprints(work, start, stop, sums, spans, c, bins, short_ramp):
             steepness, middle_s = np.float32(2 * half_height * rise), np.float32(s)
             for k in range(uint64(first + 1), last):
                 sums[row, k] += (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
-        slanted = 1.0 + rise * ((near + inner) / 2 - s)
+        slanted = max(1.0 + rise * ((near + inner) / 2 - s), 0.0)
         sums[row, first] += np.float32(half_height * (near * near - inner**2) * slanted)
-        slanted = 1.0 + rise * ((outer + far) / 2 - s)
+        slanted = max(1.0 + rise * ((outer + far) / 2 - s), 0.0)
         sums[row, last] += np.float32(half_height * (outer**2 - far * far) * slanted)
     if lowest <= highest:
         spans[c, 0], spans[c, 1] = min(spans[c, 0], int(lowest)), max(spans[c, 1], int(highest) + 1)
@@ -1436,12 +1439,18 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp)
             continue
         inner, outer = bins_s[uint64(first + 1)], bins_s[last]
         rise = work[SLANT, m] / max(work[A, m], work[B, m])
-        slanted, even_echo = 1.0 + rise * ((near + inner) / 2 - s), half_height * (near * near - inner**2)
+        slanted, even_echo = (
+            max(1.0 + rise * ((near + inner) / 2 - s), 0.0),
+            half_height * (near * near - inner**2),
+        )
         echo = even_echo * slanted
         sums[row, first] += np.float32(echo)
         range_ = np.float32((2 * half_height * (near - inner) - even_echo * middle_m[first]) * slanted)
         _add_moments(cells, slot, first, np.float32(echo), *_angles_at(work, m, (near + inner) / 2), range_)
-        slanted, even_echo = 1.0 + rise * ((outer + far) / 2 - s), half_height * (outer**2 - far * far)
+        slanted, even_echo = (
+            max(1.0 + rise * ((outer + far) / 2 - s), 0.0),
+            half_height * (outer**2 - far * far),
+        )
         echo = even_echo * slanted
         sums[row, last] += np.float32(echo)
         range_ = np.float32((2 * half_height * (outer - far) - even_echo * middle_m[last]) * slanted)
