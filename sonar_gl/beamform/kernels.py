@@ -234,7 +234,8 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
         n = max(min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0)
         if strips.are_cones:
             lay_on_cone(work, lattice, middle, bottom_row, n)
-        if face_id.shape[0] > 0 and rise <= JOINED_SHARE * piece[0]:
+        # without rows the middle one lies anywhere, also far beyond the samples
+        if n > 0 and face_id.shape[0] > 0 and rise <= JOINED_SHARE * piece[0]:
             if not strips.are_cones:
                 _find_upright(work, lattice, middle, bottom_row, n)
             n_faces = _find_faces(work, face_id, lattice.columns, bottom_row, n)
