@@ -14,6 +14,7 @@ from numba import uint32
 
 from sonar_gl.core.compiled import compiled, inlined
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.sonar.fan import SURFACE_MARGIN_M
 
 
 class Aperture(NamedTuple):
@@ -141,7 +142,7 @@ class RayScene:
         self._meshes = []  # Embree holds no reference to them
         self._water_surface = None  # its normal and offset, if the sonar is below it
         if scene.surface_z_m is not None and pose[2, 3] < scene.surface_z_m:
-            self._water_surface = pose[2, :3], scene.surface_z_m - pose[2, 3]
+            self._water_surface = pose[2, :3], scene.surface_z_m - SURFACE_MARGIN_M - pose[2, 3]
         self.n_bodies = len(scene.bodies)
         reflectivity, normals = [np.zeros(0)], [np.zeros((0, 3, 3), np.float32)]
         has_normals = any(body.normals is not None for body in scene.bodies)

@@ -234,7 +234,8 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
         n = max(min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0)
         if strips.are_cones:
             lay_on_cone(work, lattice, middle, bottom_row, n)
-        if face_id.shape[0] > 0 and rise <= JOINED_SHARE * piece[0]:
+        # without rows the middle one lies anywhere, also far beyond the samples
+        if n > 0 and face_id.shape[0] > 0 and rise <= JOINED_SHARE * piece[0]:
             if not strips.are_cones:
                 _find_upright(work, lattice, middle, bottom_row, n)
             n_faces = _find_faces(work, face_id, lattice.columns, bottom_row, n)
@@ -777,8 +778,11 @@ def _below(s, middle, wide, thin):
 
 @uncounted
 def _slanted(rise, s, nearer, further, wide):
-    """Return the density between two places in s, over that of an even footprint about s; ramps are as at its ends."""
-    return 1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide)
+    """Return the density between two places in s, over that of an even footprint about s; ramps are as at its ends.
+
+    At an end without density rounding would make it negative.
+    """
+    return max(1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide), 0.0)
 
 
 @uncounted
@@ -872,9 +876,9 @@ def spread_footprints(work, start, stop, sums, spans, c, bins, short_ramp):
             steepness, middle_s = np.float32(2 * half_height * rise), np.float32(s)
             for k in range(uint64(first + 1), last):
                 sums[row, k] += (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
-        slanted = 1.0 + rise * ((near + inner) / 2 - s)
+        slanted = max(1.0 + rise * ((near + inner) / 2 - s), 0.0)
         sums[row, first] += np.float32(half_height * (near * near - inner**2) * slanted)
-        slanted = 1.0 + rise * ((outer + far) / 2 - s)
+        slanted = max(1.0 + rise * ((outer + far) / 2 - s), 0.0)
         sums[row, last] += np.float32(half_height * (outer**2 - far * far) * slanted)
     if lowest <= highest:
         spans[c, 0], spans[c, 1] = min(spans[c, 0], int(lowest)), max(spans[c, 1], int(highest) + 1)
@@ -1436,12 +1440,18 @@ def _spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp)
             continue
         inner, outer = bins_s[uint64(first + 1)], bins_s[last]
         rise = work[SLANT, m] / max(work[A, m], work[B, m])
-        slanted, even_echo = 1.0 + rise * ((near + inner) / 2 - s), half_height * (near * near - inner**2)
+        slanted, even_echo = (
+            max(1.0 + rise * ((near + inner) / 2 - s), 0.0),
+            half_height * (near * near - inner**2),
+        )
         echo = even_echo * slanted
         sums[row, first] += np.float32(echo)
         range_ = np.float32((2 * half_height * (near - inner) - even_echo * middle_m[first]) * slanted)
         _add_moments(cells, slot, first, np.float32(echo), *_angles_at(work, m, (near + inner) / 2), range_)
-        slanted, even_echo = 1.0 + rise * ((outer + far) / 2 - s), half_height * (outer**2 - far * far)
+        slanted, even_echo = (
+            max(1.0 + rise * ((outer + far) / 2 - s), 0.0),
+            half_height * (outer**2 - far * far),
+        )
         echo = even_echo * slanted
         sums[row, last] += np.float32(echo)
         range_ = np.float32((2 * half_height * (outer - far) - even_echo * middle_m[last]) * slanted)

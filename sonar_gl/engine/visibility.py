@@ -13,6 +13,7 @@ from sonar_gl.acoustics.boundary import specular_lobe
 from sonar_gl.beamform.beamformer import Beamformer
 from sonar_gl.core.compiled import compiled
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
+from sonar_gl.sonar.fan import SURFACE_MARGIN_M
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
 from sonar_gl.sonar.sector import Sector
 from sonar_gl.sonar.sonar import Sonar
@@ -174,7 +175,7 @@ def is_unobstructed(
     world = np.asarray(body.surface.vertices, np.float64)[ends] @ body_pose[:3, :3].T + body_pose[:3, 3]
     edges = (world - pose[:3, 3]) @ pose[:3, :3]
     has_surface = surface_z_m is not None and pose[2, 3] < surface_z_m
-    below_m = surface_z_m - world[..., 2] if has_surface else np.ones(world.shape[:2])
+    below_m = surface_z_m - SURFACE_MARGIN_M - world[..., 2] if has_surface else np.ones(world.shape[:2])
     sphere = _sphere_about(edges.reshape(-1, 3))
     for (sector, plane_echo, body_id, _), received in zip(samples, reception.received_u, strict=True):
         rotation = sector.rotation()

@@ -29,7 +29,7 @@ from sonar_gl.raster.views import (
     distance_before_plane,
 )
 from sonar_gl.scene.state import SceneState
-from sonar_gl.sonar.fan import NEAR_M
+from sonar_gl.sonar.fan import NEAR_M, SURFACE_MARGIN_M
 
 LEVEL_FIELDS = tuple(field.name for field in fields(Levels))
 
@@ -154,7 +154,7 @@ class SceneMeshes:
         outside = place_bodies(state.poses, state.present, tuple(self.boxes), pose, NEAR_M, matrices, rows)
         present, is_cut = state.present, np.zeros(len(state.present), bool)
         if plane is None and self._surface_z_m is not None and pose[2, 3] < self._surface_z_m:
-            plane = np.append(-pose[2, :3], self._surface_z_m - pose[2, 3])
+            plane = np.append(-pose[2, :3], self._surface_z_m - SURFACE_MARGIN_M - pose[2, 3])
         if plane is not None:
             nearest, furthest = distance_before_plane(plane, matrices, self.boxes.bounds)
             present, is_cut = present & (furthest > 0), nearest < 0

@@ -34,6 +34,10 @@ FAR_FACTOR = 8.0
 # Distance of the near plane: surfaces nearer than this, such as the sonar's own housing, return no echo.
 NEAR_M = 1e-3
 
+# A sonar in the water sees what lies at least this much below the water's surface. Else rounding would decide, sample
+# by sample, on faces in the surface itself, such as the lid of a tank that is filled to the brim.
+SURFACE_MARGIN_M = 1e-3
+
 # A perspective view samples its edges 1/cos² of the half-width more densely than its middle.
 MAX_SECTOR_RAD = math.radians(60.0)
 # A column takes the mean of a smooth beam pattern over its width. It is as wide as a sample, but at most half a beam

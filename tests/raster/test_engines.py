@@ -266,6 +266,21 @@ def test_the_surface_of_the_water_cuts_bodies(sonar_z_m):
         assert (height_m.max() > 0.5) == (sonar_z_m > 0)
 
 
+@pytest.mark.usefixtures("driver")
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_a_face_in_the_surface_of_the_water_is_not_seen(engine):
+    """A tank that is filled to the brim is one without its lid; rounding decided on each sample of it."""
+    box = trimesh.creation.box((24, 24, 4))
+    open_box = trimesh.Trimesh(box.vertices, box.faces[box.face_normals[:, 2] < 0.5], process=False)
+    sonar, pose = replace(SONAR, elevation_fov_deg=60.0), sg.pose(0.3, 0.2, -0.4, 0.1, -0.2, 0.3)
+    full, lidless = (
+        sg.Scene([sg.Body("tank", mesh, sg.pose(yaw=0.3), 0.4)], surface_z_m=2.0) for mesh in (box, open_box)
+    )
+    got, want = (pictures(draw_sectors(one, sonar, pose, engine)) for one in (full, lidless))
+    assert 0.3 < (want[1] > 0).mean() < 0.9
+    assert (got[1] != want[1]).mean() < 1e-3
+
+
 def pictures(views):
     """Return plane and echo, and bodies, of all sectors in one array each."""
     return [np.concatenate([view[k].ravel() for view in views]) for k in (1, 2)]
