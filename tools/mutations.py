@@ -114,9 +114,15 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/slant of the first bin",
-        "slanted = 1.0 + rise * ((near + inner)",
-        "slanted = 1.0 - rise * ((near + inner)",
+        "slanted = max(1.0 + rise * ((near + inner)",
+        "slanted = max(1.0 - rise * ((near + inner)",
         (*FOOTPRINTS, SMOOTH_FLOOR),
+    ),
+    Mutation(
+        "footprints/negative density at an end",
+        "return max(1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide), 0.0)",
+        "return 1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide)",
+        FOOTPRINTS,
     ),
     Mutation(
         "footprints/slant of ramps",
@@ -154,6 +160,12 @@ MUTATIONS = (
         "strips/upper end",
         "work[BORDER, 0], work[BORDER, n] = v_low, v_high",
         "work[BORDER, 0] = v_low",
+        STRIPS,
+    ),
+    Mutation(
+        "strips/samples of a strip without rows",
+        "if n > 0 and face_id.shape[0] > 0",
+        "if face_id.shape[0] > 0",
         STRIPS,
     ),
     Mutation(
@@ -449,9 +461,15 @@ MUTATIONS = (
     ),
     Mutation(
         "hidden bodies/above the water",
-        "surface_z_m - world[..., 2] if has_surface else np.ones(world.shape[:2])",
+        "surface_z_m - SURFACE_MARGIN_M - world[..., 2] if has_surface else np.ones(world.shape[:2])",
         "np.ones(world.shape[:2])",
         ("test_adaptive::test_a_body_above_the_water_asks_for_no_samples",),
+    ),
+    Mutation(
+        "culling/faces in the water's surface",
+        "self._surface_z_m - SURFACE_MARGIN_M - pose[2, 3]",
+        "self._surface_z_m - pose[2, 3]",
+        TRIANGLES,
     ),
     Mutation(
         "hidden bodies/sonar above the water",

@@ -1,6 +1,7 @@
 """The walk over strips: where the footprint of each sample ends, by planes whose edges are known exactly."""
 
 import math
+import types
 
 import numpy as np
 import pytest
@@ -161,3 +162,15 @@ def test_more_rows_than_there_is_room_for_are_refused():
     assert 1_000 < max(sector.rows for sector in fitting.fan.sectors) <= MAX_STRIP_ROWS
     with pytest.raises(SampleLimitError, match=f"no more than {MAX_STRIP_ROWS} rows of samples"):
         make_beamformer(sonar, acoustics, sg.Sampling(1, 16_000))
+
+
+def test_of_a_strip_without_rows_no_sample_is_read():
+    """Its middle row would lie far beyond the samples. Compiled code reads there; the same code in Python refuses."""
+    in_python = {**find_strip.py_func.__globals__, "as_table": lambda table, *_: table}
+    find = types.FunctionType(find_strip.py_func.__code__, in_python)
+    lattice = Lattice(np.array([0.0, STEP, 0.0]), np.array([V[0], 0.0, STEP]), -0.2, 0.2, 1, 0.0, 1.0)
+    far_above = np.array([50.0]), np.array([51.0])
+    strips = StripTable(np.array([0]), np.array([0.0]), np.array([STEP]), *far_above, False)
+    image, faces = np.ones((ROWS, 1, 4), np.float32), np.zeros((ROWS, 1), np.int32)
+    strip = find(make_work(), image, faces, lattice, strips, 0, bin_table(EDGES).q_unseen, (0.1, 1.0))
+    assert strip.first == strip.last
