@@ -9,6 +9,7 @@ import numpy as np
 from sonar_gl.scene.primitives import INFINITE_PLANE_M
 from sonar_gl.scene.scene import Body, Scene
 
+PLANE_FACES = 18  # of an infinite plane
 LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long; what is as long and as high is in other units
 
 
@@ -20,7 +21,7 @@ def body_bounds(body: Body) -> np.ndarray:
 
 def is_infinite(body: Body) -> bool:
     """Return whether a body is the plane of a collision, which is infinite in SDF."""
-    if len(body.surface.faces) != 2:
+    if len(body.surface.faces) != PLANE_FACES:
         return False
     edges_m = np.ptp(np.asarray(body.surface.vertices, np.float64), axis=0)
     return bool(np.isclose(np.sort(edges_m)[1:], INFINITE_PLANE_M).all())

@@ -12,8 +12,11 @@ import numpy as np
 SAGITTA_M = 5e-4  # largest distance from a chord to its arc: a fifth of the finest range bins in use
 # testing whether a larger mesh is closed costs more than culling its back faces saves
 MAX_CLOSED_FACES = 50_000
-# side of the square that represents an infinite plane: beyond imaging sonars' range
-INFINITE_PLANE_M = 2000.0
+# side of the square that represents an infinite plane: beyond imaging sonars' range and the way of their vehicles
+INFINITE_PLANE_M = 22_000.0
+# Of a plane that is larger, a square of this side about the origin has faces of its own: those of one larger face are a
+# ten-thousandth off in the images of OpenGL, whose vertices are single precision.
+NEAR_PLANE_M = 2000.0
 
 
 class Triangles(NamedTuple):
@@ -187,8 +190,13 @@ def ellipsoid(radii) -> Shape:
 
 def plane(normal=(0.0, 0.0, 1.0), size=(INFINITE_PLANE_M, INFINITE_PLANE_M)) -> Shape:
     """Return a rectangle of `size` (x, y) metres about the origin, rotated from +z to `normal`."""
-    x, y = np.asarray(size) / 2
-    corners = np.array([[-x, -y, 0.0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
+    x, y = (
+        np.unique([-length, -min(length, NEAR_PLANE_M), min(length, NEAR_PLANE_M), length]) / 2
+        for length in size
+    )
+    corners = np.array([[at_x, at_y, 0.0] for at_y in y for at_x in x])
+    first = [row * len(x) + column for row in range(len(y) - 1) for column in range(len(x) - 1)]
+    quads = [(n, n + 1, n + len(x) + 1, n + len(x)) for n in first]
     nx, ny, nz = np.asarray(normal, np.float64) / np.linalg.norm(normal)
     if nz < -1 + 1e-12:
         rotation = np.diag([1.0, -1.0, -1.0])
@@ -197,7 +205,7 @@ def plane(normal=(0.0, 0.0, 1.0), size=(INFINITE_PLANE_M, INFINITE_PLANE_M)) -> 
         rotation = np.array(
             [[1 - k * nx * nx, -k * nx * ny, nx], [-k * nx * ny, 1 - k * ny * ny, ny], [-nx, -ny, nz]]
         )
-    return make_shape(corners @ rotation.T, [(0, 1, 2), (0, 2, 3)])
+    return make_shape(corners @ rotation.T, [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
 
 
 def terrain(heights, size, pos=(0.0, 0.0, 0.0)) -> Shape:

@@ -422,7 +422,7 @@ def test_scene_says_what_a_world_holds(tmp_path):
     assert (
         out
         == f"""scene     reef
-bodies    3, 26 triangles
+bodies    3, 42 triangles
 extent    3.1 x 20 x 20 m, from 2.9 -10 -10 to 6 10 10, without 1 infinite plane
 water     surface at z = 2 m
 sonar     preset p900-45, as the scene states none
@@ -434,7 +434,7 @@ taken  sensor 'imaging_sonar' of model 'sonar'
 body                       size  middle, m  triangles  reflectivity
 wall              1 x 20 x 20 m    5.5 0 0         12             1
 box           0.2 x 0.2 x 0.2 m    3 0.5 0         12             1
-ground_plane           infinite     0 0 -4          2           0.5
+ground_plane           infinite     0 0 -4         18           0.5
 
 bodies are the collisions of links; visuals count where they alone exist, or alone have <laser_retro> or a sonar_gl tag
 
@@ -495,7 +495,7 @@ def test_scene_says_the_plumes_and_materials_of_a_bundled_scene():
 def test_scene_says_the_bodies_and_the_water_of_the_harbour():
     status, out, err = run("--scene", "harbour")
     assert (status, err) == (0, "")
-    assert "\nbodies    18, 4078 triangles\n" in out and "\nwater     surface at z = 0 m\n" in out
+    assert "\nbodies    18, 4094 triangles\n" in out and "\nwater     surface at z = 0 m\n" in out
     rows = (("floor", "0.0133, medium_silt"), ("rubble", "0.524, rock"), ("tyre_flat", "0.00998, rubber"))
     for body, ends in rows:
         assert re.search(f"^{body} .* {ends}$", out, re.MULTILINE)

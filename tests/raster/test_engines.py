@@ -419,3 +419,14 @@ def test_a_row_that_a_level_edge_leaves_out_stays_empty_however_far_another_edge
             clouds.append(simulator.point_cloud(pose, 140, 140))
     for one, other in zip(*clouds, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)  # float32
+
+
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_an_infinite_plane_is_the_same_ten_kilometres_away(engine):
+    """It was 2 km wide: vehicles that went further had no floor. OpenGL's vertices are single precision."""
+    ground = sg.Body("ground", primitives.plane()[0], reflectivity=0.4)
+    with sg.Simulator(sg.Scene([ground]), SONAR, sg.Acoustics.ideal(), SAMPLING, engine=engine) as simulator:
+        near, far = (simulator.ping(sg.pose(x, -x, 2.0, 0.0, 0.3, 0.2)).intensity for x in (300.0, 9_900.0))
+    assert near.any()
+    # a millimetre, the step of single precision at 10 km, of the 2 m between sonar and plane
+    assert np.abs(far - near).sum() < (1e-5 if engine == "cpu" else 1e-3) * near.sum()

@@ -291,7 +291,7 @@ def test_one_warning_names_the_bodies_without_laser_retro(tmp_path):
         ("<cylinder><radius>1</radius><length>3</length></cylinder>", (2, 2, 3)),
         ("<capsule><radius>1</radius><length>3</length></capsule>", (2, 2, 5)),
         ("<ellipsoid><radii>1 2 3</radii></ellipsoid>", (2, 4, 6)),
-        ("<plane><normal>0 0 1</normal><size>3 4</size></plane>", (2000, 2000, 0)),
+        ("<plane><normal>0 0 1</normal><size>3 4</size></plane>", (22_000, 22_000, 0)),
     ],
 )
 def test_geometry_of_collisions(read, geometry, extents):
@@ -511,7 +511,7 @@ def test_ground_plane_and_sun_are_known_without_files(tmp_path):
     with pytest.warns(UserWarning, match=r"no <laser_retro> in 1 of 1 bodies \(floor\)"):
         scene = read_sdf(path)
     (body,) = scene.bodies
-    np.testing.assert_array_equal(body.mesh.bounds, [[-1000, -1000, 0], [1000, 1000, 0]])
+    np.testing.assert_array_equal(body.mesh.bounds, [[-11_000, -11_000, 0], [11_000, 11_000, 0]])
     np.testing.assert_array_equal(body.pose, pose(0, 0, -3))
 
 
@@ -520,7 +520,7 @@ def test_those_of_fuel_are_known_without_files_too(tmp_path):
     inside = f"<include><uri>{fuel}/Sun</uri></include><include><uri>{fuel}/Ground%20Plane/2</uri></include>"
     with pytest.warns(UserWarning, match="no <laser_retro> in 1 of 1 bodies"):
         (body,) = read_sdf(write(tmp_path / "a.sdf", inside)).bodies
-    assert body.name == "ground_plane" and np.ptp(body.surface.vertices[:, 0]) == 2000
+    assert body.name == "ground_plane" and np.ptp(body.surface.vertices[:, 0]) == 22_000
 
 
 def test_files_are_found_whatever_the_scheme(tmp_path, read):
