@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import warnings
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -56,7 +56,8 @@ class CommandGroup(click.Group):
         except Error as why:
             message, status = str(why), 2
         if status:
-            echo(f"error: {message}", err=True)
+            with suppress(OSError):  # a log on a full disk; the status says at least that the command failed
+                echo(f"error: {message}", err=True)
             ctx.exit(status)
 
 
