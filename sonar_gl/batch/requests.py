@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -18,10 +19,12 @@ from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.names import matching_names
+from sonar_gl.core.poses import MAX_TIME_S
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.receiver import receiver_levels_db
 from sonar_gl.noise.settings import PRESETS, Noise, check_moved_amounts
+from sonar_gl.ros.messages import MAX_TIME_S as MAX_ROS_TIME_S
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
@@ -31,6 +34,7 @@ from sonar_gl.sonar.sonar import Sonar, load_sonar, too_short_step_s
 
 # of random numbers; never renumber: the bytes of data sets would change
 VARY_STREAM, NOISE_STREAM, VIEWS_STREAM = 101, 102, 103
+BLOCK_PINGS = 1 << 18  # of which times are computed at once
 GAP_S = 1.0  # between the last ping of a run and the first of the next
 SHIFT_AND_TURN = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 WHOLE_NOISE = "looks"  # the field of the noise that is a whole number, and may vary
@@ -139,6 +143,7 @@ class BatchRequests(Sequence):
         if job.ros is not None:
             _check_times_for_bag(job, trajectories)
         self.runs = _runs(trajectories, len(job.scenes))
+        _check_last_time(job, self.runs[-1])
         self._starts = [run.numbers.start for run in self.runs]
         self._scenes, self._moved_names, self._apart_groups, self._files = {}, {}, {}, {}
         self._check_names_of_bodies()
@@ -167,12 +172,12 @@ class BatchRequests(Sequence):
         for sonar in self.sonars.values():
             if beyond := sonar.beyond_limit_text():
                 yield f"warning: {self.job.where}: {beyond}"
+        speed_m_s = self.acoustics.assumed_sound_speed_m_s()
+        max_rates_hz = {name: sonar.max_ping_rate_hz(speed_m_s) for name, sonar in self.sonars.items()}
         for k, trajectory in enumerate(self._trajectories):
-            times_s = trajectory.time_s(np.arange(len(trajectory)))
-            for name, sonar in self.sonars.items():
-                max_rate_hz = sonar.max_ping_rate_hz(self.acoustics.assumed_sound_speed_m_s())
-                shortest_s = too_short_step_s(times_s, max_rate_hz)
-                if shortest_s is not None:
+            shortest_s = _shortest_step_s(trajectory)
+            for name, max_rate_hz in max_rates_hz.items():
+                if too_short_step_s([0.0, shortest_s], max_rate_hz) is not None:
                     yield (
                         f"warning: {self.job.where}: poses[{k}]: sonar {name!r} makes {max_rate_hz:.4g} pings a second "
                         f"at most (got {1 / shortest_s:.4g}; its range, its ping_rate_max_hz, or the times)"
@@ -382,6 +387,19 @@ def _runs(trajectories: list[Trajectory], n_scenes: int) -> list[TrajectoryRun]:
     return runs
 
 
+def _shortest_step_s(trajectory: Trajectory) -> float:
+    """Return the shortest time between two pings that are not at the same time; infinite without such.
+
+    Block by block: the times of 1e9 pings would take all memory.
+    """
+    shortest_s = math.inf
+    for first in range(0, len(trajectory), BLOCK_PINGS):
+        stop = min(first + BLOCK_PINGS + 1, len(trajectory))  # with the first ping of the next block
+        steps_s = np.diff(trajectory.time_s(np.arange(first, stop)))
+        shortest_s = float(steps_s[steps_s != 0].min(initial=shortest_s))
+    return shortest_s
+
+
 def _load_sonars(job: Job) -> tuple[dict[str, Sonar], dict[str, np.ndarray]]:
     """Return the sonars of a job by name, and their mounts."""
     sonars, mounts = {}, {}
@@ -470,4 +488,15 @@ def _check_times_for_bag(job: Job, trajectories: list[Trajectory]) -> None:
     if isinstance(first, FileTrajectory) and (time_s := first.times_s[0]) < 0:
         raise Error(
             f"{job.where}: poses[0].file must hold times from 0 on, for a bag (got {time_s:g} s; shift them)"
+        )
+
+
+def _check_last_time(job: Job, last: TrajectoryRun) -> None:
+    """Check that pings, and a bag, can have the time of the last ping; those before are not later."""
+    time_s = last.trajectory[-1][0] + last.delay_s
+    limit_s, what = (MAX_ROS_TIME_S, "for a bag") if job.ros is not None else (MAX_TIME_S, "as of any ping")
+    if time_s >= limit_s:
+        raise Error(
+            f"{job.where}: poses must end before {limit_s:.10g} s, {what} (got {time_s:.10g} s; give times in seconds, "
+            "or a larger ping_rate_hz)"
         )

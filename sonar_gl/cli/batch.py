@@ -28,6 +28,10 @@ def batch(options) -> int:
         raise Error("--mend needs --resume (it mends what is in the folder)")
     if (options.job is None) == (options.check is None):
         raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
+    if options.check is not None:
+        _check_alone(options, "--check", "it makes no pings", ("dry_run", "out", "resume", "any_system"))
+    if options.dry_run:
+        _check_alone(options, "--dry-run", "it is of the whole job", ("resume",))
     tqdm.set_lock(threading.RLock())  # by default it is a lock of processes, which would outlive the command
     if options.check is not None:
         return _show_faults(options.check, check(Folder(options.check, create=False), show_progress))
@@ -46,6 +50,13 @@ def batch(options) -> int:
     for number, why in sorted(outcome.set_aside.items()):
         _report(f"set aside: {outcome.describe(number)}: {why}")
     return _show_outcome(outcome, url, options.job)
+
+
+def _check_alone(options, option: str, why: str, others: tuple[str, ...]):
+    """Raise an Error if options are given that another one would leave without effect."""
+    for name in others:
+        if getattr(options, name):
+            raise Error(f"{option} and --{name.replace('_', '-')} exclude each other ({why}; leave one out)")
 
 
 def _report(text: str):

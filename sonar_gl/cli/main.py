@@ -13,7 +13,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -58,7 +58,8 @@ class CommandGroup(click.Group):
         except Error as why:
             message, status = str(why), 2
         if status:
-            echo(f"error: {message}", err=True)
+            with suppress(OSError):  # a log on a full disk; the status says at least that the command failed
+                echo(f"error: {message}", err=True)
             ctx.exit(status)
 
 

@@ -21,6 +21,7 @@ POSE_HINT = "sonar_gl.pose makes one from x y z roll pitch yaw"
 MAX_UNWRAPPED_RAD = 1e5  # 16000 turns, of which float64 still resolves 1e-11 rad
 ROUNDED = 1e-3  # deviation from a rotation that rounding may have caused, and hardly a scale
 MAX_POSITION_M = 1e9  # of an origin; squares of much greater lengths overflow
+MAX_TIME_S = 1e10  # Unix time with room to spare
 
 
 def check_pose(matrix, what: str = "pose") -> np.ndarray:
@@ -150,8 +151,8 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     ------
     Error
         if a column is missing, a line has too few or too many cells, a cell is not a finite number, a time is earlier
-        than the one before, an angle looks like degrees, a quaternion is no unit one, or the file has no pose. The
-        message names file, line and column.
+        than the one before, a time or a place is too great for a ping, an angle looks like degrees, a quaternion is no
+        unit one, or the file has no pose. The message names file, line and column.
     """
     path = Path(path)
     check_kind_of_file(path, pipe=True)
@@ -285,7 +286,7 @@ def _parse_cells(
 
 
 def _check_rows(path: Path, rows: PoseRows, last: np.ndarray | None, is_unwrapped: bool) -> bool:
-    """Raise an `Error` for the first row whose time falls or whose rotation is wrong; return whether any is unwrapped.
+    """Raise an `Error` for the first row that no ping can have, or whose time falls; return whether any is unwrapped.
 
     Parameters
     ----------
@@ -304,9 +305,21 @@ def _check_rows(path: Path, rows: PoseRows, last: np.ndarray | None, is_unwrappe
         lengths = np.linalg.norm(angles, axis=1)
         is_wrong = np.abs(lengths - 1) > OFF_LENGTH
     falls = numbers[:, 0] < before[:, 0]
-    if (wrong := np.flatnonzero(is_wrong | falls)).size:
+    is_late = np.abs(numbers[:, 0]) > MAX_TIME_S
+    is_far = (np.abs(numbers[:, 1:4]) > MAX_POSITION_M).any(axis=1)
+    if (wrong := np.flatnonzero(is_wrong | falls | is_late | is_far)).size:
         at = wrong[0]
         location = f"{path}: line {rows.lines[at]}"
+        if is_late[at]:
+            raise Error(
+                f"{location}, column t: must lie in {-MAX_TIME_S:g}..{MAX_TIME_S:g} (got {numbers[at, 0]:g}; give "
+                "seconds)"
+            )
+        if is_far[at]:
+            raise Error(
+                f"{location}: x y z must lie within {MAX_POSITION_M:g} m of the origin (got "
+                f"{' '.join(f'{n:g}' for n in numbers[at, 1:4])}; give metres)"
+            )
         if falls[at]:
             got = f"{numbers[at, 0]:g} s after {before[at, 0]:g} s"
             raise Error(f"{location}, column t: times must not fall (got {got}; sort the rows)")

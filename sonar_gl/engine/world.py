@@ -10,15 +10,13 @@ import numpy as np
 
 from sonar_gl.core.checks import check_kind, check_number, is_number, shown, unknown_body_error
 from sonar_gl.core.errors import Error, closed_error, other_process_error
-from sonar_gl.core.poses import check_pose
+from sonar_gl.core.poses import MAX_TIME_S, check_pose
 from sonar_gl.core.worker import SecondThread, ThreadLock
 from sonar_gl.raster.engine import RasterEngine, make_engine
 from sonar_gl.scene.kept_meshes import KeptMeshes
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.scene.state import SceneState
-
-MAX_TIME_S = 1e10  # Unix time with room to spare
 
 IN_USE = (
     "a Simulator must not be used while it makes a ping "

@@ -28,6 +28,7 @@ from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
 from sonar_gl.batch.store import PingTable
+from sonar_gl.batch.trajectories import SectorScan
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine import pipeline, sequence
 from sonar_gl.engine.run import Run
@@ -219,17 +220,21 @@ def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
     assert mesh.get_array().size == 24 * 80
 
 
+def by_sound_hz(requests):
+    """Return the rate at which sound comes back to the sonar `level`."""
+    return requests.acoustics.water.sound_speed() / (2 * requests.sonars["level"].range_max_m)
+
+
 def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
     assert list(requests.device_warnings()) == []  # 5 pings a second
     level = requests.sonars["level"]
     job = requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"ping_rate_hz": 100.0}]})
     quick = BatchRequests(job)
-    by_sound_hz = requests.acoustics.water.sound_speed() / (2 * level.range_max_m)
     quick.sonars = {"level": level, "slow": replace(level, ping_rate_max_hz=20.0)}
     assert [text.split(": ", 2)[2] for text in quick.device_warnings()] == [
         f"poses[0]: sonar {name!r} makes {rate_hz:.4g} pings a second at most "
         "(got 100; its range, its ping_rate_max_hz, or the times)"
-        for name, rate_hz in (("level", by_sound_hz), ("slow", 20.0))
+        for name, rate_hz in (("level", by_sound_hz(requests)), ("slow", 20.0))
     ]
 
 
@@ -241,6 +246,29 @@ def test_ranges_beyond_what_a_device_allows_are_warned_of(requests):
     }
     (text,) = requests.device_warnings()
     assert text == f"warning: {requests.job.where}: {requests.sonars['short'].beyond_limit_text()}"
+
+
+def test_rates_are_checked_block_by_block(requests, monkeypatch):
+    """The times of all pings at once took all memory: a job may have 1e9."""
+    monkeypatch.setattr("sonar_gl.batch.requests.BLOCK_PINGS", 4)
+    poses = [requests.job.poses[0] | {"ping_rate_hz": 100.0}]
+    quick = BatchRequests(requests.job.model_copy(update={"poses": poses}))
+    sizes, time_s = [], SectorScan.time_s
+    monkeypatch.setattr(SectorScan, "time_s", lambda self, n: sizes.append(np.size(n)) or time_s(self, n))
+    assert [text.split(": ", 2)[2] for text in quick.device_warnings()] == [
+        f"poses[0]: sonar 'level' makes {by_sound_hz(requests):.4g} pings a second at most "
+        "(got 100; its range, its ping_rate_max_hz, or the times)"
+    ]
+    assert max(sizes) == 5 and sum(sizes) == len(quick) + len(sizes) - 1
+
+
+def test_pings_later_than_any_ping_can_be_are_refused(requests):
+    poses = [requests.job.poses[0] | {"ping_rate_hz": 1e-6, "n_pings": 20_000}]
+    job = requests.job.model_copy(update={"poses": poses, "ros": None})
+    with pytest.raises(
+        sg.Error, match=r": poses must end before 1e\+10 s, as of any ping \(got 1.9999e\+10 s"
+    ):
+        BatchRequests(job)
 
 
 def test_a_ping_is_made_again_with_its_noise_from_what_is_stored(tmp_path):
@@ -1324,6 +1352,10 @@ def test_needs_of_outputs_are_checked_before_anything_is_made(tmp_path):
     for times, message in (
         ([0, 1, 1, 0.5, 2], r"poses\[0\]: .*: line 5, column t: times must not fall \(got 0.5 s after 1 s"),
         ([-1, 0], r"poses\[0\].file must hold times from 0 on, for a bag \(got -1 s"),
+        (
+            [0, 3e9],
+            r"poses must end before 2147483648 s, for a bag \(got 3000000000 s; give times in seconds",
+        ),
         ([2, 2, 3], None),
     ):
         lines = [f"{t},0,0,0,0,0,0" for t in times]

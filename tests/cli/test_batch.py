@@ -111,6 +111,33 @@ def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monk
     assert line.removeprefix("warning: tank.sdf: ") in run("doctor", "--scene", "tank.sdf")[1]
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ("--check", ".", "--resume"),
+            "--check and --resume exclude each other (it makes no pings; leave one out)",
+        ),
+        (
+            ("--check", ".", "--dry-run"),
+            "--check and --dry-run exclude each other (it makes no pings; leave one out)",
+        ),
+        (
+            ("--check", ".", "--out", "made"),
+            "--check and --out exclude each other (it makes no pings; leave one out)",
+        ),
+        (
+            ("job.toml", "--dry-run", "--resume"),
+            "--dry-run and --resume exclude each other (it is of the whole job; leave one out)",
+        ),
+    ],
+)
+def test_options_that_would_have_no_effect_are_refused(tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    assert run("batch", *words) == (2, "", f"error: {message}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [("--dry-run",), ("--out", "made")])
 def test_processes_leave_warnings_of_scenes_to_the_command_which_shows_them_once(

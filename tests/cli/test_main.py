@@ -680,6 +680,12 @@ def test_a_working_directory_that_is_gone_is_named(folder):
     assert err == "error: the working directory must exist (it has been removed; change to another folder)\n"
 
 
+def test_a_mistake_has_its_status_where_errors_cannot_be_written():
+    with open("/dev/full", "w") as full:
+        ran = python("-m", "sonar_gl", "batch", "nope.toml", capture_output=False, stderr=full)
+    assert ran.returncode == 2
+
+
 def test_an_output_that_takes_nothing_is_named():
     with open("/dev/full", "w") as full:
         ran = python("-m", "sonar_gl", "sonars", capture_output=False, stdout=full, stderr=subprocess.PIPE)

@@ -149,6 +149,11 @@ def test_plain_rows_are_not_parsed_cell_by_cell(read, monkeypatch):
         ("9,1,2,up,0,0,0", "line 33, column z: must be a finite number (got 'up')"),
         ("9,1,2,inf,0,0,0", "line 33, column z: must be a finite number (got 'inf')"),
         ("9,1,2,1e999,0,0,0", "line 33, column z: must be a finite number (got '1e999')"),
+        ("1e11,0,0,0,0,0,0", "line 33, column t: must lie in -1e+10..1e+10 (got 1e+11; give seconds)"),
+        (
+            "40,1,2e9,3,0,0,0",
+            "line 33: x y z must lie within 1e+09 m of the origin (got 1 2e+09 3; give metres)",
+        ),
         ("4.5,0,0,0,0,0,0", "line 33, column t: times must not fall (got 4.5 s after 30 s; sort the rows)"),
         (
             "40,0,0,0,0,0,90",
