@@ -239,13 +239,13 @@ def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
 
 
 def test_ranges_beyond_what_a_device_allows_are_warned_of(requests):
-    level = requests.sonars["level"]
+    level, limited = requests.sonars["level"], BatchRequests(requests.job)
     limits = {"short": level.range_max_m / 2, "long": level.range_max_m, "unknown": None}
-    requests.sonars = {
+    limited.sonars = {
         name: replace(level, name=name, range_limit_m=limit_m) for name, limit_m in limits.items()
     }
-    (text,) = requests.device_warnings()
-    assert text == f"warning: {requests.job.where}: {requests.sonars['short'].beyond_limit_text()}"
+    (text,) = limited.device_warnings()
+    assert text == f"warning: {requests.job.where}: {limited.sonars['short'].beyond_limit_text()}"
 
 
 def test_rates_are_checked_block_by_block(requests, monkeypatch):
