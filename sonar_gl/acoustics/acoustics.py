@@ -14,7 +14,7 @@ from sonar_gl.acoustics.pulse import PulseResponse, bin_weights, resolution_cell
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.sea_surface import surface_backscattering
 from sonar_gl.acoustics.water import DEFAULT_WATER, Water
-from sonar_gl.core.checks import check_choice, check_fields, check_kind, shown
+from sonar_gl.core.checks import check_choice, check_fields, check_kind, make_numbers_plain, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.signatures import shown_by_fields
@@ -177,6 +177,7 @@ class Acoustics:
     multipath: str = "none"
 
     def __post_init__(self):
+        make_numbers_plain(self)
         check_choice("profile", self.profile, PROFILES, "acoustics")
         for key, value in PROFILES[self.profile].items():
             if getattr(self, key) is None:

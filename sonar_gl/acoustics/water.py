@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from sonar_gl.acoustics.sea_surface import rms_wave_height_m
-from sonar_gl.core.checks import check_choice, check_fields, check_number, shown
+from sonar_gl.core.checks import check_choice, check_fields, check_number, make_numbers_plain, shown
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.key_values import parse_fields
@@ -208,6 +208,7 @@ class Water:
     wind_speed_m_s: float | None = None
 
     def __post_init__(self):
+        make_numbers_plain(self)
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, "water")
         check_fields("water", self, BOUNDS)
@@ -269,7 +270,7 @@ class Water:
         >>> round(Water(temperature_c=4.0, salinity_psu=8.0, ph=7.9).absorption(900e3), 3)
         0.334
         """
-        check_number("frequency_hz", frequency_hz, 1.0, 1e9, "give hertz, 900e3 for 900 kHz")
+        frequency_hz = check_number("frequency_hz", frequency_hz, 1.0, 1e9, "give hertz, 900e3 for 900 kHz")
         if self.absorption_db_m is not None:
             return float(self.absorption_db_m)
         properties = (self.temperature_c, self.salinity_psu, self.depth_m, self.ph)

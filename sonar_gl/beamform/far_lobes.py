@@ -21,7 +21,7 @@ from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
-from threading import Lock
+from threading import RLock
 from typing import NamedTuple
 
 import numpy as np
@@ -47,8 +47,9 @@ BASIS_STRIDE = 4  # of pieces of the pattern that functions are made for: four a
 
 
 # The last bits of LAPACK's results depend on the number of its threads, and pings have the same bytes with any number.
-# The limit is that of the process: while one thread has it, another must neither lift it nor begin.
-_LAPACK = Lock()
+# The limit is that of the process: while one thread has it, another must neither lift it nor begin. Within it a signal
+# handler may make a simulator, which must not wait for what its own thread holds.
+_LAPACK = RLock()
 
 
 @cache

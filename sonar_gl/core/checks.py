@@ -10,6 +10,9 @@ import numpy as np
 
 from sonar_gl.core.errors import Error, nearest_names, nearest_of_many
 
+# what arrays of other kinds than numbers hold, by `dtype.kind`
+NO_NUMBERS = {"S": "text", "U": "text", "T": "text", "c": "complex numbers", "M": "dates", "m": "durations"}
+
 
 def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.ndarray:
     """Return a read-only, finite, contiguous copy of `array`.
@@ -29,8 +32,8 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
     """
     try:
         out = np.array(array, order="C")
-        if out.dtype.kind in "SUc":  # NumPy would read numbers from text, and drop imaginary parts
-            got = "complex numbers" if out.dtype.kind == "c" else "text"
+        got = _other_contents(out)
+        if got is not None:
             raise Error(f"{what} must be an array of numbers (got {got}: {shown(array)})")
         out = out.astype(dtype, order="C", copy=False)
     except Error:
@@ -47,6 +50,17 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
         raise Error(f"{what} must be finite (got NaN or infinity in {count} of {out.size} numbers)")
     out.setflags(write=False)
     return out
+
+
+def _other_contents(array: np.ndarray) -> str | None:
+    """Return what an array holds in place of numbers, though NumPy would make some of it; None if it holds numbers.
+
+    NumPy reads text, also among objects, as in a table that was read as text; it drops imaginary parts and the unit of
+    times, and takes a record of one field for a number.
+    """
+    if array.dtype.kind == "O":
+        return "text" if any(isinstance(one, (str, bytes)) for one in array.flat) else None
+    return "records" if array.dtype.names else NO_NUMBERS.get(array.dtype.kind)
 
 
 def _fits(shape: tuple, wanted: tuple) -> bool:
@@ -85,7 +99,9 @@ def is_number(value) -> bool:
     >>> is_number(1), is_number(np.float32(0.5)), is_number(True), is_number("1")
     (True, True, False, False)
     """
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(
+        value, (bool, np.timedelta64)
+    )  # NumPy counts durations as integers
 
 
 def is_whole_number(value) -> bool:
@@ -94,7 +110,30 @@ def is_whole_number(value) -> bool:
     >>> is_whole_number(2), is_whole_number(np.uint8(2)), is_whole_number(2.0), is_whole_number(True)
     (True, True, False, False)
     """
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    return isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.timedelta64))
+
+
+def plain_number(value):
+    """Return a number of NumPy, True and False included, as Python's; anything else as it is.
+
+    Calculations with the former take its precision and range: 100 * np.int8(2) is -56, and np.float16(1e-8) is 0.
+
+    >>> plain_number(np.int8(2)), plain_number(np.float16(0.5)), plain_number(np.True_), plain_number("1")
+    (2, 0.5, True, '1')
+    """
+    if isinstance(value, np.generic):
+        if isinstance(value, np.bool_):
+            return bool(value)
+        if is_number(value):
+            return int(value) if isinstance(value, np.integer) else float(value)
+    return value
+
+
+def make_numbers_plain(settings) -> None:
+    """Have a dataclass, frozen or not, hold numbers of Python in place of NumPy's, as `plain_number` makes them."""
+    for name, value in list(vars(settings).items()):
+        if isinstance(value, np.generic):
+            object.__setattr__(settings, name, plain_number(value))
 
 
 def is_finite(value) -> bool:
@@ -161,6 +200,7 @@ def check_number(what: str, value, low: float = -math.inf, high: float = math.in
     """
     if not is_number(value):
         raise Error(f"{what} must be a number (got {shown(value)})")
+    value = plain_number(value)  # float16 cannot hold all bounds
     if low <= value <= high and is_finite(value):  # false for NaN
         return float(value)
     bounds = [f"{low:g} or more"] if low > -math.inf else []

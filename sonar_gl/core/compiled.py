@@ -5,10 +5,15 @@ from __future__ import annotations
 import sys
 from functools import cache
 
-from numba import njit
+from numba import config, njit
 from numba.core import cgutils, event, types
 from numba.core.imputils import impl_ret_borrowed
 from numba.extending import intrinsic
+
+from sonar_gl.core.errors import Error
+
+if config.DISABLE_JIT:  # intrinsics have no other form, and a ping would take minutes
+    raise Error("NUMBA_DISABLE_JIT must be 0 or unset, since pings need compiled code (got 1; unset it)")
 
 OPTIONS = {
     "nogil": True,

@@ -85,7 +85,10 @@ class PingRequest:
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         if self.label_level_db is not None:
-            check_number("label_level_db", self.label_level_db, -LEVEL_BOUND_DB, LEVEL_BOUND_DB, "give dB")
+            level_db = check_number(
+                "label_level_db", self.label_level_db, -LEVEL_BOUND_DB, LEVEL_BOUND_DB, "give dB"
+            )
+            object.__setattr__(self, "label_level_db", level_db)
             if not self.labels:
                 raise Error("label_level_db needs labels=True (got labels=False)")
         if self.background is not None and not self.labels:

@@ -18,7 +18,13 @@ import cv2
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.core.checks import check_choice, check_kind, check_number, check_whole_number
+from sonar_gl.core.checks import (
+    check_choice,
+    check_kind,
+    check_number,
+    check_whole_number,
+    make_numbers_plain,
+)
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.settings import Noise
 
@@ -141,6 +147,7 @@ class PictureSettings:
     seed: int = 0
 
     def __post_init__(self):
+        make_numbers_plain(self)
         for key, low, high in (
             ("azimuth_fov_rad", 1e-4, 2 * math.pi + 1e-9),
             ("range_max_m", 1e-3, 1e5),

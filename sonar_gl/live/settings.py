@@ -7,7 +7,13 @@ from dataclasses import dataclass, field, fields, replace
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import Water
 from sonar_gl.analysis.terms import TERMS, Term
-from sonar_gl.core.checks import check_choice, check_kind, check_number, check_whole_number
+from sonar_gl.core.checks import (
+    check_choice,
+    check_kind,
+    check_number,
+    check_whole_number,
+    make_numbers_plain,
+)
 from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, MAX_HEIGHT, colours
 from sonar_gl.noise.settings import Noise
@@ -66,6 +72,7 @@ class LiveSettings:
     max_rate_hz: float = DEFAULT_RATE_HZ
 
     def __post_init__(self):
+        make_numbers_plain(self)
         if isinstance(self.sonar, str):
             object.__setattr__(self, "sonar", load_sonar(self.sonar))
         if isinstance(self.noise, str):

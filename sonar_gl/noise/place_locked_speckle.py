@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from functools import partial
 from itertools import product
-from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +20,7 @@ from sonar_gl.acoustics.pulse import (
     is_coarse,
 )
 from sonar_gl.core.compiled import compiled
-from sonar_gl.core.worker import SecondThread, held, run_halves, run_rows
+from sonar_gl.core.worker import SecondThread, run_halves, run_rows
 from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.speckle import FieldCorrelation, aperture_weights, aperture_width
 
@@ -355,9 +353,10 @@ class WaveCache:
     """
 
     def __init__(self, max_bytes: int):
-        self._max_bytes, self._lock = max_bytes, Lock()
-        # with the number of their last use
-        self._cells: OrderedDict[Hashable, tuple[int, Waves]] = OrderedDict()
+        self._max_bytes = max_bytes
+        # With the number of their last use, the oldest first. It is replaced at once and never changed, for other
+        # threads: a signal handler that pings would wait for ever for a lock that the code below it holds.
+        self._cells: dict[Hashable, tuple[int, Waves]] = {}
         self._n_uses = 0
 
     def waves(self, key: Hashable, chunks: range, n_bins: int, generator) -> Waves:
@@ -369,8 +368,7 @@ class WaveCache:
         generator : function (chunk) -> numpy.random.Generator
         """
         key = key, n_bins
-        with held(self._lock):
-            _, old = self._cells.get(key, (0, None))
+        _, old = self._cells.get(key, (0, None))
         if old is None or chunks.start < old.chunks.start or old.chunks.stop < chunks.stop:
             found = Waves(chunks, np.empty((len(chunks) * CHUNK, 2, n_bins), np.float32))
             for chunk in chunks:
@@ -381,22 +379,24 @@ class WaveCache:
             found.coefficients.setflags(write=False)
         else:
             found = old
-        with held(self._lock):
-            self._n_uses += 1
-            self._cells.pop(key, None)
-            if self._make_room(found.coefficients.nbytes):
-                self._cells[key] = self._n_uses, found
+        self._n_uses = n_uses = self._n_uses + 1
+        cells = dict(self._cells)
+        cells.pop(key, None)
+        if self._make_room(cells, found.coefficients.nbytes, n_uses):
+            cells[key] = n_uses, found
+        self._cells = cells
         return found
 
-    def _make_room(self, n_bytes: int) -> bool:
-        """Return whether so many bytes fit, after those have gone that may go."""
-        room = self._max_bytes - n_bytes - sum(waves.coefficients.nbytes for _, waves in self._cells.values())
-        while room < 0 and self._cells:
-            last_use, oldest = next(iter(self._cells.values()))
-            if last_use > self._n_uses - RECENT_USES:
+    def _make_room(self, cells: dict, n_bytes: int, n_uses: int) -> bool:
+        """Return whether so many bytes fit, after those of the cells have gone that may go."""
+        room = self._max_bytes - n_bytes - sum(waves.coefficients.nbytes for _, waves in cells.values())
+        while room < 0 and cells:
+            oldest = next(iter(cells))
+            last_use, waves = cells[oldest]
+            if last_use > n_uses - RECENT_USES:
                 return False
-            room += oldest.coefficients.nbytes
-            self._cells.popitem(last=False)
+            room += waves.coefficients.nbytes
+            del cells[oldest]
         return room >= 0
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from sonar_gl.core.checks import check_fields, check_whole_number, is_number, shown
+from sonar_gl.core.checks import check_fields, check_whole_number, is_number, make_numbers_plain, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.signatures import shown_by_fields
@@ -84,8 +82,9 @@ class Noise:
     dropped_beams: float = 0.0
 
     def __post_init__(self):
+        make_numbers_plain(self)
         for key in SWITCHES:
-            if not isinstance(getattr(self, key), (bool, np.bool_)):
+            if not isinstance(getattr(self, key), bool):
                 raise Error(f"noise: {key} must be True or False (got {shown(getattr(self, key))})")
         check_fields("noise", self, BOUNDS)
         check_whole_number("noise: looks", self.looks, 1, 1000)

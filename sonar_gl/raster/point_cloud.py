@@ -20,7 +20,7 @@ MAX_CLOUD_COLUMNS = 65536  # as many as a sonar may have beams
 
 def point_cloud(engine: RasterEngine, sonar: Sonar, head_pose, columns: int, rows: int):
     """Return what `Simulator.point_cloud` gives; inside `drawing`."""
-    check_whole_number("columns of a point cloud", columns, 1, MAX_CLOUD_COLUMNS)
+    columns = check_whole_number("columns of a point cloud", columns, 1, MAX_CLOUD_COLUMNS)
     # as few beams as hold the columns: very many in a narrow fan are a mistake of a data sheet, of which it would warn.
     # They reach to the edges of the field of view and not beyond
     n_beams = math.ceil(columns / MAX_COLUMNS_PER_BEAM)

@@ -9,7 +9,14 @@ from functools import cached_property
 
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_kind, check_number, check_whole_number, shown
+from sonar_gl.core.checks import (
+    check_choice,
+    check_kind,
+    check_number,
+    check_whole_number,
+    make_numbers_plain,
+    shown,
+)
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import colours
@@ -132,6 +139,7 @@ class PublisherSettings:
     seed: int = 0
 
     def __post_init__(self):
+        make_numbers_plain(self)
         check_topic("the name of a sonar", f"/{self.name}")
         if self.rate_hz is not None:
             check_number("rate_hz", self.rate_hz, 1e-3, MAX_RATE_HZ, "pings per second")

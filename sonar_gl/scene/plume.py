@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.core.checks import check_fields, check_kind, check_whole_number
+from sonar_gl.core.checks import check_fields, check_kind, check_whole_number, make_numbers_plain
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 
@@ -73,6 +73,7 @@ class Bubbles:
     def __post_init__(self):
         check_kind("the name of bubbles", self.name, str, 'such as "diver::bubbles"')
         location = f"bubbles {self.name!r}"
+        make_numbers_plain(self)
         check_fields(location, self, BOUNDS)
         check_whole_number(f"{location}: seed", self.seed)
         number = self.rate_hz * self._max_age_s()

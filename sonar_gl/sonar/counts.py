@@ -13,7 +13,14 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_number, holds_numbers, is_whole_number, shown
+from sonar_gl.core.checks import (
+    check_choice,
+    check_number,
+    holds_numbers,
+    is_whole_number,
+    make_numbers_plain,
+    shown,
+)
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.key_values import parse_fields
 
@@ -69,6 +76,7 @@ class Counts:
     bits: int = 8
 
     def __post_init__(self):
+        make_numbers_plain(self)
         check_choice("law", self.law, LAWS, "counts")
         check_number("counts: exponent", self.exponent, LEAST_EXPONENT, GREATEST_EXPONENT)
         for key in ("low_db", "high_db", "gain_db"):

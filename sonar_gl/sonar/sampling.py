@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from sonar_gl.core.checks import is_number, is_whole_number, shown
+from sonar_gl.core.checks import is_number, is_whole_number, make_numbers_plain, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.sonar.sonar import Sonar
 
@@ -38,6 +38,7 @@ class Sampling:
     reducer: str = "footprint"
 
     def __post_init__(self):
+        make_numbers_plain(self)
         if not (is_number(self.columns_per_beam) and 0 < self.columns_per_beam <= MAX_COLUMNS_PER_BEAM):
             raise Error(f"columns_per_beam must be a number in 0..1024 (got {shown(self.columns_per_beam)})")
         if not (is_whole_number(self.rows) and 1 <= self.rows <= MAX_ROWS):

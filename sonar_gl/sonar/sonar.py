@@ -18,7 +18,9 @@ from sonar_gl.core.checks import (
     check_whole_number,
     frozen_array,
     is_number,
+    make_numbers_plain,
     number_text,
+    plain_number,
     shown,
 )
 from sonar_gl.core.errors import Error, errors_at, nearest_names
@@ -168,6 +170,7 @@ class Sonar:
     range_limit_m: float | None = None
 
     def __post_init__(self):
+        make_numbers_plain(self)
         location = f"sonar {self.name!r}"
         if not isinstance(self.counts, Counts):  # a table of a file
             with errors_at(location):
@@ -393,6 +396,7 @@ class Sonar:
         >>> [(s.n_bins, round(s.bin_size_m, 6)) for s in (sonar.with_range(5.1), sonar.with_range(40.1))]
         [(2000, 0.0025), (5000, 0.008)]
         """
+        range_max_m = plain_number(range_max_m)
         if is_number(range_max_m) and not range_max_m > self.range_min_m:  # also NaN
             raise Error(
                 f"sonar {self.name!r}: the range must exceed range_min_m = {self.range_min_m:g} m "

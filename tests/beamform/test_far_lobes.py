@@ -238,6 +238,25 @@ def test_lapack_has_one_thread_and_is_looked_for_once():
     assert python("-c", LAPACK_THREADS, environment=settings, check=True).stdout.split()
 
 
+@pytest.mark.timeout(60)
+def test_a_signal_handler_may_make_a_sonar_while_lapack_is_at_work(monkeypatch):
+    """Early versions hung: the handler waited for LAPACK, which the code below it had."""
+    real, others = np.linalg.eigh, []
+
+    def eigh(*args, **more):
+        if not others:  # as a handler that comes here
+            others.append(None)
+            others.append(fan_and_weights(replace(P900, n_beams=40), PHYSICAL)[1])
+        return real(*args, **more)
+
+    expected = fan_and_weights(replace(P900, n_beams=50), PHYSICAL)[1]
+    monkeypatch.setattr(np.linalg, "eigh", eigh)
+    sonar = replace(P900, n_beams=50, azimuth_fov_deg=44.9)
+    fan_and_weights(sonar, PHYSICAL)
+    assert len(others) == 2
+    np.testing.assert_array_equal(fan_and_weights(replace(P900, n_beams=50), PHYSICAL)[1], expected)
+
+
 def test_a_floor_alone_is_exact():
     """Of a Hamming array all lobes are weak; what floors of -20 and -30 dB add differs by their difference."""
     sonar = replace(P900, receive_taper="hamming")

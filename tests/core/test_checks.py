@@ -113,3 +113,31 @@ def test_choices():
     for value in (None, 3, ["uniform"], "Uniform"):
         with pytest.raises(Error, match=r"^unknown taper "):
             check_choice("taper", value, {"uniform": 1, "hamming": 2})
+
+
+@pytest.mark.parametrize(
+    ("array", "got"),
+    [
+        (np.array([["1", 2.0]], object)[0], "text"),
+        (np.array([1, 2], "m8[s]"), "durations"),
+        (np.array([1, 2], "M8[s]"), "dates"),
+        (np.array([(1,), (2,)], [("x", "f8")]), "records"),
+    ],
+)
+def test_arrays_of_which_numpy_would_make_numbers(array, got):
+    """Early versions took a day for 86400 m, and text for numbers where it came from a table of mixed columns."""
+    with pytest.raises(Error, match=rf"^x must be an array of numbers \(got {got}: "):
+        frozen_array(array, np.float64, (2,), "x")
+
+
+@pytest.mark.parametrize("check", [check_number, check_whole_number])
+def test_a_duration_is_no_number(check):
+    """NumPy counts it as an integer; early versions had a traceback of a comparison."""
+    with pytest.raises(Error, match=r"^x must be a (whole )?number"):
+        check("x", np.timedelta64(2, "s"), 0, 10)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("dtype", [np.int8, np.float16, np.longdouble])
+def test_numbers_of_numpy_need_not_hold_the_bounds(dtype):
+    assert check_number("x", dtype(2), -1e10, 1e10) == 2

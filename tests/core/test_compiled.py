@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.core.compiled import announce_compilation, as_table
+from tests.support.processes import python
 
 
 @pytest.mark.parametrize(
@@ -103,3 +104,10 @@ def test_a_table_in_an_array_that_is_not_contiguous_is_refused():
     for array in (np.ones((8, 8))[::2], np.ones((4, 3)).T, np.ones(12)):
         with pytest.raises(numba.TypingError):
             total(array)
+
+
+def test_a_process_without_compilation_says_why_it_cannot_ping():
+    """Early versions had a NotImplementedError of an intrinsic in the middle of the first ping."""
+    code = "import sonar_gl as sg\ntry: sg.Simulator\nexcept sg.Error as why: print(why)"
+    out = python("-c", code, environment={"NUMBA_DISABLE_JIT": "1"}, check=True).stdout
+    assert out.startswith("NUMBA_DISABLE_JIT must be 0 or unset")

@@ -1,7 +1,8 @@
 """Place-locked speckle: what it does as the sonar stands still, turns and moves."""
 
+import sys
 from dataclasses import replace
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 import pytest
@@ -359,6 +360,36 @@ def test_of_waves_in_turn_that_do_not_all_fit_some_are_kept():
     cache = WaveCache(2 * CHUNK * 2 * 10 * 4)  # bytes of two chunks
     generated = [bool(cached_waves(cache, range(1), key)[1]) for _ in range(3) for key in range(3)]
     assert generated == [True, True, True, False, False, True, False, False, True]
+
+
+@pytest.mark.timeout(20)
+def test_a_signal_handler_may_use_the_cache_at_any_line_of_a_use():
+    """Early versions hung: the handler waited for a lock that the code below it held."""
+    chunk = CHUNK * 2 * 10 * 4  # bytes
+    cache, own_lines, keys = WaveCache(2 * chunk), [], count(2)
+
+    def handler(frame, event, _):
+        if event == "line":
+            sys.settrace(None)
+            own_lines.append(frame.f_lineno)
+            cached_waves(cache, range(1), next(keys))
+            sys.settrace(trace)
+        return handler
+
+    def trace(frame, *_):
+        return handler if isinstance(frame.f_locals.get("self"), WaveCache) else None
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        found = [cached_waves(cache, range(2), 0)[0] for _ in range(3)]
+    finally:
+        sys.settrace(before)
+    assert len(set(own_lines)) > 10
+    for one in found:
+        np.testing.assert_array_equal(
+            one.coefficients, cached_waves(WaveCache(0), range(2), 0)[0].coefficients
+        )
 
 
 def test_pings_before_do_not_change_a_pattern():
