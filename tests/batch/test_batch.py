@@ -179,6 +179,14 @@ def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, r
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
 
 
+def test_units_of_arrays_are_those_that_cf_conventions_know(small):
+    """Readers of units, as pint-xarray, refuse the whole set for the sake of one that is none."""
+    data = xr.open_dataset(small / "out" / "pings.zarr", group="level", decode_cf=False)
+    assert {data[name].attrs["units"] for name in data.variables if "units" in data[name].attrs} == {
+        *("1", "m", "rad", "s")
+    }
+
+
 def test_the_root_of_a_set_with_several_sonars_names_their_groups(small):
     root = xr.open_dataset(small / "out" / "pings.zarr")
     assert not root.variables and root.attrs["sonars"] == ["level", "upright"]
