@@ -242,13 +242,12 @@ def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
 
 
 def test_ranges_beyond_what_a_device_allows_are_warned_of(requests):
-    level = requests.sonars["level"]
+    own = BatchRequests(requests.job)  # other tests read the sonars of the fixture
+    level = own.sonars["level"]
     limits = {"short": level.range_max_m / 2, "long": level.range_max_m, "unknown": None}
-    requests.sonars = {
-        name: replace(level, name=name, range_limit_m=limit_m) for name, limit_m in limits.items()
-    }
-    (text,) = requests.device_warnings()
-    assert text == f"warning: {requests.job.where}: {requests.sonars['short'].beyond_limit_text()}"
+    own.sonars = {name: replace(level, name=name, range_limit_m=limit_m) for name, limit_m in limits.items()}
+    (text,) = own.device_warnings()
+    assert text == f"warning: {own.job.where}: {own.sonars['short'].beyond_limit_text()}"
 
 
 def test_a_ping_is_made_again_with_its_noise_from_what_is_stored(tmp_path):
