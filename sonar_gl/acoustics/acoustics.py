@@ -492,6 +492,20 @@ class Acoustics:
             support = max(support, float(away.max()), float(inward.max()))
         return support
 
+    def receive_widths_rad(self, sonar, azimuth_rad) -> np.ndarray:
+        """Return the −3 dB widths of receive beams at these azimuths, radians, in the plane of the fan.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> sonar = load_sonar("p900-45,steered=straight")
+        >>> np.degrees(Acoustics.physical().receive_widths_rad(sonar, np.radians([0.0, 60.0]))).round(2).tolist()
+        [1.0, 2.0]
+        """
+        width = math.radians(sonar.beam_width_deg)
+        if self.beam_pattern == "box" or sonar.steered != "straight":
+            return np.full(np.shape(azimuth_rad), width)
+        edges = np.sin(azimuth_rad) + math.sin(width / 2) * np.array([[-1.0], [1.0]])
+        return np.diff(np.arcsin(np.clip(edges, -1.0, 1.0)), axis=0)[0]
+
     def null_rad(self, sonar) -> float:
         """Return the shortest period over azimuth of receive and transmit pattern together, radians; 0 for a box.
 

@@ -261,7 +261,7 @@ class CocoOutput(CountsOutput):
 
 @dataclass(frozen=True, eq=False)
 class OpticalFrame:
-    """An image of the camera on the vehicle: world_from_camera (4, 4), RGB (H, W, 3), depth (H, W) metres."""
+    """An image of the camera on the vehicle: world_from_camera (4, 4), RGB (H, W, 3), depth (H, W) metres or NaN."""
 
     request: BatchRequest
     pose: np.ndarray
@@ -308,7 +308,9 @@ class OpticalOutput(Output):
         self.put(ping_file("optical/rgb", request.number, "png"), png_bytes(rgb))
         self.put(ping_file("optical/depth", request.number, "png"), png_bytes(millimetres))
         if self.job.ros is not None:
-            self.frames[request.number] = OpticalFrame(request, pose, rgb, depth_m)
+            # a finite depth is a point to readers of ROS, 0 one at the camera (REP 118)
+            seen_m = np.where(depth_m > 0, depth_m, np.float32(np.nan))
+            self.frames[request.number] = OpticalFrame(request, pose, rgb, seen_m)
 
 
 class RosOutput(CountsOutput):

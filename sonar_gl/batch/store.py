@@ -356,7 +356,7 @@ def ping_variables(requests: BatchRequests, table: PingTable, sonar: str) -> Ite
         (4, 4),
         ("row", "column"),
         long_name="world_from_sonar",
-        units="metres, x ahead, y to port, z up",
+        comment="metres, x ahead, y to port, z up",  # not units, which CF readers would parse
     )
     yield variable(
         "echo", "float64", first_of(("echo", sonar)), long_name="sum of intensity before noise", units="1"

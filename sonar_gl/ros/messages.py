@@ -176,7 +176,7 @@ class MessageTypes:
             # "speed of sound used to calculate ranges": the one that the sonar assumes
             acoustics.assumed_sound_speed_m_s(),
             np.full(n_beams, math.radians(sonar.elevation_fov_deg), np.float32),
-            np.full(n_beams, math.radians(sonar.beam_width_deg), np.float32),
+            acoustics.receive_widths_rad(sonar, ping.azimuth_rad[::-1]).astype(np.float32),
         )
         dtype = DTYPES.index(f"UINT{8 * data.itemsize}")
         data = data.reshape(-1).view(np.uint8)

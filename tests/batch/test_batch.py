@@ -180,6 +180,14 @@ def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, r
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
 
 
+def test_units_of_arrays_are_those_that_cf_conventions_know(small):
+    """Readers of units, as pint-xarray, refuse the whole set for the sake of one that is none."""
+    data = xr.open_dataset(small / "out" / "pings.zarr", group="level", decode_cf=False)
+    assert {data[name].attrs["units"] for name in data.variables if "units" in data[name].attrs} == {
+        *("1", "m", "rad", "s")
+    }
+
+
 def test_the_root_of_a_set_with_several_sonars_names_their_groups(small):
     root = xr.open_dataset(small / "out" / "pings.zarr")
     assert not root.variables and root.attrs["sonars"] == ["level", "upright"]
@@ -833,7 +841,7 @@ def test_the_bag_holds_every_ping_in_order(small, pings):
 
 
 def test_optical_images_are_stored_with_the_pings(small, tmp_path):
-    more = "[optical]\nwidth = 40\nheight = 30\n[ros]\n"
+    more = "[optical]\nwidth = 40\nheight = 30\nmount = [0, 0, 0, 0, -1.3, 0]\n[ros]\n"
     write_job(tmp_path, 4, more)
     make_all(tmp_path / "job.toml", tmp_path / "out")
     names = sorted(path.name for path in (tmp_path / "out" / "optical" / "rgb").rglob("*.png"))
@@ -842,7 +850,12 @@ def test_optical_images_are_stored_with_the_pings(small, tmp_path):
     assert depth.dtype == np.uint16 and depth.shape == (30, 40)
     with AnyReader([tmp_path / "out" / "bag"]) as reader:
         topics = {c.topic: c.msgcount for c in reader.connections}
+        of_depth = [c for c in reader.connections if c.topic == "/camera/depth"]
+        raw = [reader.deserialize(raw, c.msgtype).data for c, _, raw in reader.messages(of_depth)]
     assert topics["/camera/image"] == topics["/camera/depth"] == topics["/camera/camera_info"] == 4
+    # as depth_image_proc reads it: what is finite is a point, also 0
+    metres = np.frombuffer(raw[0].tobytes(), "<f4").reshape(30, 40)
+    assert np.array_equal(np.isfinite(metres), depth > 0) and not (depth > 0).all()
 
 
 def test_optical_images_are_rendered_on_the_device_of_the_process(tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.beam_pattern import line_array_pattern
 from sonar_gl.acoustics.water import Water
 from sonar_gl.core.extras import install_command
 from sonar_gl.core.poses import pose
@@ -149,6 +150,19 @@ def test_every_field_of_a_ping(tmp_path, read):
     # range by range, port first, 20 levels from bin to bin of a beam
     expected = [20 * (3 * beam + k) for k in range(3) for beam in (3, 2, 1, 0)]
     assert list(bytes(image.data)) == expected
+
+
+@READERS
+def test_beams_of_one_straight_array_are_as_wide_as_they_are_aside(tmp_path, read):
+    """Where the power of the pattern is half of that on the axis."""
+    ping = make_ping(sonar=replace(IMAGING_SONAR, steered="straight"), acoustics=Acoustics.physical())
+    widths = only(
+        read(write(tmp_path, record(ping=ping))), "/p900_45/projected_image"
+    ).ping_info.rx_beamwidths
+    for width, steer in zip(widths, AZIMUTH[::-1], strict=True):
+        azimuth = np.linspace(steer - 0.1, steer + 0.1, 20001)
+        above = azimuth[line_array_pattern(azimuth, steer, math.radians(1.5), steered="straight") > 0.5]
+        assert width == pytest.approx(above[-1] - above[0], abs=1e-4)
 
 
 @READERS

@@ -69,7 +69,7 @@ class FireMessage:
 
     Attributes
     ----------
-    version : 1 or 2, of the fire message; the result has the same
+    version : 1 or 2, of the fire message; the result has the layout of the same
     mode : LOW_FREQUENCY or HIGH_FREQUENCY
     ping_rate : code of PING_RATES_HZ, or STANDBY
     gamma : exponent of amplitude times 255; 0 counts as 255
