@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -273,6 +273,11 @@ class Sonar:
                 f"self_noise_db = {self.self_noise_db:g} exceeds the echo of a sphere about the sonar at 1 m, to which "
                 "it is relative; if it is in dB re 1 µPa, subtract that echo's level (absolute_levels states it)"
             )
+
+    def meta(self) -> dict:
+        """Return the fields as plain values, which JSON reads back as they are, for the record of a ping."""
+        azimuths = self.beam_azimuths_deg
+        return asdict(self) | {"beam_azimuths_deg": None if azimuths is None else list(azimuths)}
 
     @property
     def azimuth_rad(self) -> np.ndarray:
