@@ -33,7 +33,8 @@ class Simulator:
         the meshes and what is done to the bodies
     sonar : Sonar
     acoustics : Acoustics; None is `Acoustics.physical()`
-    sampling : Sampling, overrides what `tolerance` would choose
+    sampling : Sampling, overrides what `tolerance` would choose; with multipath, `tolerance` still decides which
+        reflectors return any, and how many of these samples they take
     tolerance : 0.001..0.5, the share of the echo that may lie in wrong bins
     engine : "opengl" draws on a graphics card, "cpu" by compiled code without OpenGL; "auto" takes OpenGL where
         there is a graphics card; None is the environment variable SONAR_GL_ENGINE, or "auto"

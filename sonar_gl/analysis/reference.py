@@ -8,7 +8,7 @@ import threading
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -105,7 +105,7 @@ def reference_ping(
             stacklevel=2,
         )
     meta = {
-        "sonar": asdict(sonar),
+        "sonar": sonar.meta(),
         "acoustics": acoustics.meta(),
         "absorption_db_m": acoustics.water.absorption(sonar.frequency_hz),
         "sound_speed_m_s": acoustics.water.sound_speed(),

@@ -509,8 +509,9 @@ def needed_acoustics(
     """Return `Acoustics.physical` with only those terms on that a scene needs.
 
     The terms that are left out change the image by no more than the tolerance, all together, in two measures: the
-    share of the echo that differs, and the share of the displayed bins that change by more than 3 dB. The same
-    arguments give the same terms, whatever the times of pings.
+    share of the echo that differs, and the share of the displayed bins that change by more than 3 dB. Images have the
+    mean power of the noise of `Noise.physical`, so that what lies far below it is left out. The same arguments give the
+    same terms, whatever the times of pings.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from sonar_gl._version import __version__
 from sonar_gl.acoustics.acoustics import Acoustics
@@ -51,7 +51,7 @@ class Provenance:
     def _described(self, origin: SampleOrigin) -> dict:
         """Return the part of the meta that all pings of an origin have in common."""
         return {
-            "sonar": asdict(self._sonar),
+            "sonar": self._sonar.meta(),
             **self._water(self._acoustics),
             "profile": self._acoustics.profile,
             "tolerance": origin.tolerance,

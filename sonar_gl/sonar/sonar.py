@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -35,6 +35,9 @@ from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 PRESETS = Path(__file__).with_name("sonars.toml")
 RANGE_MAX_BOUNDS_M = 1e-3, 1e5
 MAX_BINS = 65536  # also of beams
+# Of range_max_m. The bin of a range is found from its inverse, whose rounding must stay far below a bin: else the sums
+# would go beyond their arrays.
+SHORTEST_BIN = 1e-9
 LEVEL = "give dB relative to the echo of a sphere about the sonar, at 1 m"  # of noise, in messages
 TAPERS = ("uniform", "hamming", "taylor", "chebyshev")  # of line arrays
 CHOICES = {  # field: allowed names
@@ -200,6 +203,11 @@ class Sonar:
                 f"{location}: range_min_m must be less than range_max_m "
                 f"(got {self.range_min_m:g} and {self.range_max_m:g})"
             )
+        if self.bin_size_m < SHORTEST_BIN * self.range_max_m:
+            raise Error(
+                f"{location}: bins must be at least {SHORTEST_BIN:g} of range_max_m long "
+                f"(got {self.bin_size_m:g} m at {self.range_max_m:g} m; set a lesser range_min_m)"
+            )
         if self.bandwidth_hz is not None and self.bandwidth_hz > self.frequency_hz:
             raise Error(
                 f"{location}: bandwidth_hz must not exceed frequency_hz "
@@ -276,6 +284,11 @@ class Sonar:
                 f"self_noise_db = {self.self_noise_db:g} exceeds the echo of a sphere about the sonar at 1 m, to which "
                 "it is relative; if it is in dB re 1 µPa, subtract that echo's level (absolute_levels states it)"
             )
+
+    def meta(self) -> dict:
+        """Return the fields as plain values, which JSON reads back as they are, for the record of a ping."""
+        azimuths = self.beam_azimuths_deg
+        return asdict(self) | {"beam_azimuths_deg": None if azimuths is None else list(azimuths)}
 
     @property
     def azimuth_rad(self) -> np.ndarray:

@@ -680,6 +680,19 @@ def test_a_plan_holds_for_image_sources_with_fixed_samples(perfect):
         np.testing.assert_array_equal(next(simulator.pings([strong])).intensity, reviewed)
 
 
+def test_the_tolerance_decides_on_reflectors_with_given_samples(perfect):
+    perfect("floor")
+    scene, pose, _ = SCENES["floor, rolled and pitched"]
+    found = {}
+    for multipath_ in ("incoherent", "none"):
+        for tolerance in (0.01, 0.5):
+            acoustics = replace(IDEAL, multipath=multipath_)
+            with sg.Simulator(scene, SONAR, acoustics, sg.Sampling(2, 80), tolerance) as simulator:
+                found[multipath_, tolerance] = simulator.ping(pose).intensity
+    np.testing.assert_array_equal(found["none", 0.01], found["none", 0.5])
+    assert (found["incoherent", 0.01] != found["incoherent", 0.5]).any()
+
+
 def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
     monkeypatch.setattr(multipath, "SHARES", (0.0,) * len(multipath.SHARES))  # all samples in both pings
     slope = np.linspace(0.0, 1.0, N_SINES)  # the sine of the grazing angle itself

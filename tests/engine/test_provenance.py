@@ -1,5 +1,6 @@
 """The meta of pings that several threads make at once."""
 
+import json
 from dataclasses import replace
 
 import sonar_gl as sg
@@ -31,3 +32,11 @@ def test_pings_own_their_meta():
     first, second = (provenance.meta(FIRST, ACOUSTICS, seed=seed) for seed in (1, 2))
     first["bodies"].append("mine")
     assert second["bodies"] == ["ball"] and (first["seed"], second["seed"]) == (1, 2)
+
+
+def test_meta_reads_back_from_json_as_it_is():
+    """The azimuths of a table of beams were a tuple in a ping, and a list in the ping that its file held."""
+    sonar = replace(sg.load_sonar("p900-45"), n_beams=3, beam_azimuths_deg=(-10.0, 0.0, 5.0))
+    meta = Provenance(sonar, ACOUSTICS).meta(FIRST, ACOUSTICS)
+    assert json.loads(json.dumps(meta)) == meta
+    assert sg.Sonar(**meta["sonar"]) == sonar

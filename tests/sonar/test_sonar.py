@@ -270,6 +270,11 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
             "sonar 'a': elevation_fov_deg must lie in 0.01..170 (got nan; give degrees)",
         ),
         ({"range_min_m": 40}, "sonar 'a': range_min_m must be less than range_max_m (got 40 and 30)"),
+        (  # sums went beyond their arrays
+            {"range_min_m": 30 * (1 - 1e-13)},
+            "sonar 'a': bins must be at least 1e-09 of range_max_m long "
+            "(got 5.86337e-15 m at 30 m; set a lesser range_min_m)",
+        ),
         (
             {"beam_azimuths_deg": [1, 2]},
             "sonar 'a': beam_azimuths_deg must have shape (256) (got (2,))",
