@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -211,18 +210,6 @@ class ImageSources:
     def fix(self, halvings: int) -> None:
         """Halve samples so often from now on."""
         self.choice = HalvingChoice(halvings, True)
-
-    @contextmanager
-    def unplanned(self):
-        """Have samples chosen as if none had been fixed, inside a `with` block."""
-        planned = self.choice
-        if planned.is_fixed:
-            self.choice = HalvingChoice(self.COARSEST)
-        try:
-            yield
-        finally:
-            if planned.is_fixed:
-                self.choice = planned
 
     def release(self) -> None:
         """Choose samples ping by ping again."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -43,14 +42,6 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping, again until its samples keep the tolerance. Inside `drawing`."""
     setup = run.with_later_bodies(setup)
-    # a plan does not hold for the image sources either of a ping whose samples are chosen from it alone
-    is_unplanned = run.image_sources is not None and run.sampler.is_apart(setup)
-    with run.image_sources.unplanned() if is_unplanned else nullcontext():
-        return _sample(run, setup)
-
-
-def _sample(run: Run, setup: PingSetup) -> ReceivedPing:
-    """Do the work of `sample`."""
     if run.sampler.is_apart(setup):
         chosen = choose_samples(run.sampler.choose, setup)
         run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.number + 1)

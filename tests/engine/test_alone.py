@@ -68,20 +68,6 @@ def test_any_order_and_company_gives_the_same_bytes(kind):
         assert one.error_estimate == other.error_estimate and one.meta["sampling"] == other.meta["sampling"]
 
 
-def test_the_image_sources_of_a_plan_are_not_those_of_the_ping():
-    """After a plan whose multipath needed fine samples, the ping had these, too."""
-    settings, more = MORE["multipath"]
-    wanted = requests(**more)[2]
-    with sg.Simulator(SCENE, SONAR, tolerance=0.1, **settings) as simulator:
-        first = make_ping(simulator.run, wanted)
-        simulator.plan(POSES[:1])
-        images = simulator.run.image_sources
-        for halvings in (0, images.COARSEST):
-            images.fix(halvings)  # as a plan does
-            assert_same(make_ping(simulator.run, wanted), first)
-            assert (images.halvings, images.choice.is_fixed) == (halvings, True)  # of the pings to come
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_ping_is_that_of_the_samples_it_states(kind):
     """So a ping of a data set can be made again by its samples; with multipath, by its tolerance, too."""
