@@ -49,7 +49,7 @@ def test_bodies_and_geoms_of_the_world_are_bodies():
         ("type='capsule' size='.5 1'", [[-0.5, -0.5, -1.5], [0.5, 0.5, 1.5]]),
         ("type='cylinder' size='.5 1'", [[-0.5, -0.5, -1], [0.5, 0.5, 1]]),
         ("type='box' size='.5 1 2' euler='0 0 1.5707963267948966'", [[-1, -0.5, -2], [1, 0.5, 2]]),
-        ("type='plane' size='0 3 1'", [[-1000, -3, 0], [1000, 3, 0]]),  # 0: the plane has no end
+        ("type='plane' size='0 3 1'", [[-11e3, -3, 0], [11e3, 3, 0]]),  # 0: the plane has no end
         ("type='mesh' mesh='wedge' pos='0 0 1'", [[-1, -1, 0], [2, 1, 4]]),
         ("type='hfield' hfield='hill'", [[-2, -1, 0], [2, 1, 0.5]]),
     ],

@@ -97,8 +97,8 @@ def test_plane_turns_to_its_normal(normal):
     np.testing.assert_allclose(mesh.vertices @ unit, 0, atol=1e-8)
 
 
-def test_plane_without_a_size_is_two_kilometres_wide():
-    np.testing.assert_array_equal(meshes.plane()[0].to_trimesh().bounds, [[-1000, -1000, 0], [1000, 1000, 0]])
+def test_plane_without_a_size_is_twenty_two_kilometres_wide():
+    np.testing.assert_array_equal(meshes.plane()[0].to_trimesh().bounds, [[-11e3, -11e3, 0], [11e3, 11e3, 0]])
 
 
 def test_transform_moves_normals_by_the_inverse_transpose():
