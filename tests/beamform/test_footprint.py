@@ -104,13 +104,16 @@ def test_a_slanted_footprint_is_denser_at_one_end(s, a, b, slant):
 
 
 @pytest.mark.parametrize("slant", [-1.0, 1.0])
-def test_no_bin_of_a_slanted_footprint_is_negative(slant):
-    """At the end without density rounding made it so, and noise took the root: a bin without a number."""
-    rng = np.random.default_rng(0)
-    s = 1 / rng.uniform(1, 30, 1_500)
-    wide = s * rng.uniform(0.01, 0.9, 1_500)
-    for thin in (0.0 * wide, 0.2 * wide * rng.random(1_500)):
-        assert min(spread(*one, slant=slant).min() for one in zip(s, thin, wide, strict=True)) >= 0
+def test_slanted_bins_lie_between_none_and_twice_even_ones(slant):
+    """At the end without density rounding made some negative, and noise took the root: a bin without a number."""
+    rng, n = np.random.default_rng(0), 700
+    s = 1 / rng.uniform(1, 30, n)
+    wide = s * rng.uniform(0.01, 0.9, n)
+    for thin in (0.0 * wide, 0.2 * wide * rng.random(n), 0.9 * wide):
+        for footprint in zip(s, thin, wide, strict=True):
+            bins, even = spread(*footprint, slant=slant), spread(*footprint)
+            # ramps have the densities of the ends; sums of float32, of bins up to the greatest
+            assert bins.min() >= 0 and (bins <= 2 * even + 1e-6 * even.max()).all()
 
 
 def test_a_footprint_keeps_its_energy():
