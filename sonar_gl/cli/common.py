@@ -53,10 +53,11 @@ def sonar_from(options, scene: Scene) -> Sonar:
         sonar = named_sonar(options.sonar)
     if options.range is not None:
         sonar = sonar.with_range(options.range, options.bins)
-        if beyond := sonar.beyond_limit_text():
-            warnings.warn(beyond, stacklevel=2)
-        return sonar
-    return sonar if options.bins is None else replace(sonar, n_bins=options.bins)
+    elif options.bins is not None:
+        sonar = replace(sonar, n_bins=options.bins)
+    if beyond := sonar.beyond_limit_text():
+        warnings.warn(beyond, stacklevel=2)
+    return sonar
 
 
 def named_sonar(text: str) -> Sonar:

@@ -241,9 +241,10 @@ def test_a_sequence_is_nearly_empty_if_all_its_pictures_are():
     assert err.startswith("warning: all pictures are nearly empty: ") and err.count("\n") == 1
 
 
-def test_a_range_beyond_what_the_device_allows_is_warned_of():
+@pytest.mark.parametrize("words", [("aris-1800", "--range", 16), ("aris-1800,range_max_m=16",)])
+def test_a_range_beyond_what_the_device_allows_is_warned_of(words):
     fast = "render", "tank.sdf", "--bins", 40, "--tolerance", 0.5, "--noise", "none", "--format", "npz"
-    code, _, err = run(*fast, "--sonar", "aris-1800", "--range", 16)
+    code, _, err = run(*fast, "--sonar", *words)
     assert code == 0
     assert err == "warning: sonar 'aris-1800' allows ranges of 15 m at most, its range_limit_m (got 16 m)\n"
     assert run(*fast, "--sonar", "aris-1800", "--range", 15)[2] == ""
