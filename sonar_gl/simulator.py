@@ -170,6 +170,7 @@ class Simulator:
         label_level_db : with labels, the level of a bin's mean echo, dB of `Ping.intensity`, from which on the bin is
             labelled, whatever the noise. None: bins are labelled whose echo a display of the sonar's counts shows, see
             `Counts.least_shown`, and, in a noisy ping, is no weaker than the mean power of the receiver's noise
+
         Warns
         -----
         UserWarning

@@ -405,6 +405,7 @@ class Sonar:
         ------
         Error
             if a number is out of bounds, or there would be too many bins.
+
         >>> sonar = load_sonar("oculus-m1200d-lf")  # bins of 2.5 mm, 5000 at most
         >>> [(s.n_bins, round(s.bin_size_m, 6)) for s in (sonar.with_range(5.1), sonar.with_range(40.1))]
         [(2000, 0.0025), (5000, 0.008)]
