@@ -25,6 +25,8 @@ from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, t
 # What positions may be rounded by before there is a warning, metres: about the finest bins of an imaging sonar
 MAX_STEP_M = 0.01
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
+# of text that is read in double precision: that single precision holds it, too, as whole metres, says nothing
+DECIMAL_SUFFIXES = (".obj",)
 Y_UP_SUFFIXES = BUFFER_SUFFIXES = (".glb", ".gltf")
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
@@ -172,7 +174,8 @@ def _read_parts(scene, path: Path) -> list[MeshPart]:
         units = str(mesh.metadata.get("units", "")).split(" * ")
         scale = np.diag([float(units[0])] * 3 + [1.0]) if len(units) == 2 else np.eye(4)
         shape, placed = make_shape(mesh.vertices, mesh.faces, normals), scale @ matrix
-        step_m = max(step_m, _step(shape.mesh.vertices) * float(np.abs(placed[:3, :3]).max()))
+        if path.suffix.lower() not in DECIMAL_SUFFIXES:
+            step_m = max(step_m, _step(shape.mesh.vertices) * float(np.abs(placed[:3, :3]).max()))
         parts.append(MeshPart(_name_in_file(scene, node, mesh), key, transform(shape, placed)))
     if not parts:
         raise Error(

@@ -225,6 +225,14 @@ def test_vertices_that_single_precision_rounds_are_told_of(tmp_path, suffix, awa
     )
 
 
+@pytest.mark.filterwarnings("ignore:.*reflectivity", "error:.*rounded")
+def test_whole_metres_of_a_file_of_decimals_are_not_taken_as_rounded(tmp_path):
+    """Single precision holds them, too, even in UTM."""
+    path = tmp_path / "a.obj"
+    trimesh.creation.box((2, 2, 2)).apply_translation((500_000, 4_500_000, -10)).export(path)
+    assert load_scene(path).bodies[0].mesh.bounds[1].tolist() == [500_001, 4_500_001, -9]
+
+
 def test_normals_of_a_glb_turn_with_it(tmp_path):
     ball = trimesh.creation.icosphere(1)
     ball.export(tmp_path / "a.glb", include_normals=True)
