@@ -206,6 +206,21 @@ def test_links_lead_somewhere(page):
             assert not anchor or anchor in anchors_of(linked), target
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_rows_of_tables_have_the_cells_of_their_heads(page):
+    """A row that is broken over two lines is two rows."""
+    n_cells, wrong = None, []
+    for number, line in enumerate(text_of(page).splitlines(), 1):
+        n_bars = len(re.findall(r"(?<!\\)\|", line))
+        if re.fullmatch(r" *\|(-+:?\|)+", line):
+            n_cells = n_bars
+        elif not line.lstrip().startswith("|"):
+            n_cells = None
+        elif n_cells not in (None, n_bars):
+            wrong.append(number)
+    assert wrong == []
+
+
 def test_pictures_are_shown_small_and_made_by_the_tools():
     shown = {
         (page.parent / target).resolve()
