@@ -494,9 +494,11 @@ def _check_times_for_bag(job: Job, trajectories: list[Trajectory]) -> None:
 def _check_last_time(job: Job, last: TrajectoryRun) -> None:
     """Check that pings, and a bag, can have the time of the last ping; those before are not later."""
     time_s = last.trajectory[-1][0] + last.delay_s
-    limit_s, what = (MAX_ROS_TIME_S, "for a bag") if job.ros is not None else (MAX_TIME_S, "as of any ping")
+    limit_s, what = (
+        (MAX_ROS_TIME_S, "for a bag") if job.ros is not None else (MAX_TIME_S, "as all pings must")
+    )
     if time_s >= limit_s:
         raise Error(
             f"{job.where}: poses must end before {limit_s:.10g} s, {what} (got {time_s:.10g} s; give times in seconds, "
-            "or a larger ping_rate_hz)"
+            "fewer pings, or a larger ping_rate_hz or speed_m_s)"
         )

@@ -274,7 +274,7 @@ def test_pings_later_than_any_ping_can_be_are_refused(requests):
     poses = [requests.job.poses[0] | {"ping_rate_hz": 1e-6, "n_pings": 20_000}]
     job = requests.job.model_copy(update={"poses": poses, "ros": None})
     with pytest.raises(
-        sg.Error, match=r": poses must end before 1e\+10 s, as of any ping \(got 1.9999e\+10 s"
+        sg.Error, match=r": poses must end before 1e\+10 s, as all pings must \(got 1.9999e\+10 s"
     ):
         BatchRequests(job)
 
