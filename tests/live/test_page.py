@@ -28,6 +28,7 @@ viser = pytest.importorskip("viser", reason="viser, of the extra live, is missin
 
 PICTURE = 'img[src^="blob:"]'
 WAIT_S = 60.0  # on a machine that draws WebGL by software and does other work beside it
+DRAG_S = 10.0  # after which a drag that moved nothing is tried again
 SIZE = {"width": 1000, "height": 700}
 # Of a drag in five steps over 1.07 lengths of a gizmo's arrow, in such lengths: the one before the last ends at 0.86.
 LAST_STEP = 1.0
@@ -55,6 +56,27 @@ def wait_for(what, timeout_s=WAIT_S):
             return value
         time.sleep(0.02)
     pytest.fail(f"waited {timeout_s:g} s in vain")
+
+
+def drag(viewer, along, point, has_moved):
+    """Drag the gizmo at a point of the world by its arrow along an axis, until it has moved so far.
+
+    Again, where a slow browser had not drawn the scene as it is by then: such a drag turns the camera.
+    """
+    mouse, end_s = viewer.tab.mouse, time.monotonic() + WAIT_S
+    while time.monotonic() < end_s:
+        gizmo_m = gizmo_length_m(viewer, point)
+        mouse.move(*on_canvas(viewer, point + 0.93 * gizmo_m * along))
+        mouse.down()
+        mouse.move(*on_canvas(viewer, point + 2.0 * gizmo_m * along), steps=5)
+        wait_s = time.monotonic() + DRAG_S
+        while not (moved := has_moved(LAST_STEP * gizmo_m)) and time.monotonic() < wait_s:
+            time.sleep(0.02)
+        mouse.up()
+        if moved:
+            return
+        wait_until_drawn(viewer.tab)
+    pytest.fail(f"dragged for {WAIT_S:g} s in vain")
 
 
 @pytest.fixture(scope="module")
@@ -464,12 +486,7 @@ def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
     tab.get_by_role("button", name="Unselect").wait_for(timeout=1000 * WAIT_S)
     assert session.highlighted == "pylon_square"
     wait_until_drawn(tab)
-    gizmo_m = gizmo_length_m(viewer, middle)
-    mouse.move(*on_canvas(viewer, middle + 0.93 * gizmo_m * up))
-    mouse.down()
-    mouse.move(*on_canvas(viewer, middle + 2.0 * gizmo_m * up), steps=5)
-    wait_for(lambda: (session.bodies()["pylon_square"] - home)[:3, 3] @ up > LAST_STEP * gizmo_m)
-    mouse.up()
+    drag(viewer, up, middle, lambda far_m: (session.bodies()["pylon_square"] - home)[:3, 3] @ up > far_m)
     moved = (session.bodies()["pylon_square"] - home)[:3, 3]
     assert moved - (moved @ up) * up == pytest.approx(np.zeros(3), abs=1e-3)  # messages have float32
     tab.get_by_role("button", name="Unselect").click()
@@ -480,21 +497,13 @@ def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
 
 @pytest.mark.parametrize("axis", [0, 2])  # the first is below the picture
 def test_the_gizmo_drags_the_sonar(viewer, axis):
-    session, mouse = viewer.session, viewer.tab.mouse
-    start = session.pose
+    session, start = viewer.session, viewer.session.pose
     along = start[:3, axis]
     gizmo = viewer.page.server.scene.get_handle_by_name("/move_sonar")
     # pictures are shown before the scene is: of slow browsers it changes each 1.5 s
     wait_for(lambda: np.allclose(gizmo.position, start[:3, 3], atol=1e-6))
     new_pictures(viewer.tab, 10)
-    gizmo_m = gizmo_length_m(viewer, start[:3, 3])
-    x, y = on_canvas(viewer, start[:3, 3] + 0.93 * gizmo_m * along)
-    to_x, to_y = on_canvas(viewer, start[:3, 3] + 2.0 * gizmo_m * along)
-    mouse.move(x, y)
-    mouse.down()
-    mouse.move(to_x, to_y, steps=5)
-    wait_for(lambda: (session.pose[:3, 3] - start[:3, 3]) @ along > LAST_STEP * gizmo_m)
-    mouse.up()
+    drag(viewer, along, start[:3, 3], lambda far_m: (session.pose[:3, 3] - start[:3, 3]) @ along > far_m)
     wait_until_still(session)  # the page learns of the end of a drag later; the next test has another start
     moved = session.pose[:3, 3] - start[:3, 3]
     # along its axis; messages have float32
