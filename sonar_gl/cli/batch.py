@@ -29,9 +29,9 @@ def batch(options) -> int:
     if (options.job is None) == (options.check is None):
         raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
     if options.check is not None:
-        _check_alone(options, "--check", "it makes no pings", ("dry_run", "out", "resume", "any_system"))
+        _check_alone(options, "--check", "a check makes no pings", ("dry_run", "out", "resume", "any_system"))
     if options.dry_run:
-        _check_alone(options, "--dry-run", "it is of the whole job", ("resume",))
+        _check_alone(options, "--dry-run", "a dry run counts the whole job", ("resume",))
     tqdm.set_lock(threading.RLock())  # by default it is a lock of processes, which would outlive the command
     if options.check is not None:
         return _show_faults(options.check, check(Folder(options.check, create=False), show_progress))

@@ -116,19 +116,19 @@ def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monk
     [
         (
             ("--check", ".", "--resume"),
-            "--check and --resume exclude each other (it makes no pings; leave one out)",
+            "--check and --resume exclude each other (a check makes no pings; leave one out)",
         ),
         (
             ("--check", ".", "--dry-run"),
-            "--check and --dry-run exclude each other (it makes no pings; leave one out)",
+            "--check and --dry-run exclude each other (a check makes no pings; leave one out)",
         ),
         (
             ("--check", ".", "--out", "made"),
-            "--check and --out exclude each other (it makes no pings; leave one out)",
+            "--check and --out exclude each other (a check makes no pings; leave one out)",
         ),
         (
             ("job.toml", "--dry-run", "--resume"),
-            "--dry-run and --resume exclude each other (it is of the whole job; leave one out)",
+            "--dry-run and --resume exclude each other (a dry run counts the whole job; leave one out)",
         ),
     ],
 )

@@ -95,6 +95,13 @@ def run_on(system, *command, status=0):
     return done.stdout + done.stderr
 
 
+def run_script(system, folder, text, status=0):
+    """Write a script into a folder, and return what it printed on an emulated system."""
+    script = folder / "script.py"
+    script.write_text(text, encoding="utf-8")
+    return run_on(system, script, status=status)
+
+
 @every_system
 def test_a_ping_is_drawn_by_the_cpu_and_saved(system, tmp_path):
     run_on(system, "sonar-gl", "render", "pylon", "--format", "png", "--format", "npz", "--out", tmp_path)
@@ -103,45 +110,36 @@ def test_a_ping_is_drawn_by_the_cpu_and_saved(system, tmp_path):
 
 @pytest.mark.slow
 def test_the_check_of_opengl_says_that_the_cpu_draws(tmp_path):
-    script = tmp_path / "check.py"
-    script.write_text(
-        "from sonar_gl.cli import system_checks\nprint(*system_checks.check_opengl())\n", encoding="utf-8"
-    )
-    text = run_on("macos", script)
+    check = "from sonar_gl.cli import system_checks\nprint(*system_checks.check_opengl())\n"
+    text = run_script("macos", tmp_path, check)
     assert "None OpenGL must be reachable" in text and "pings are drawn by the CPU" in text
 
 
 @pytest.mark.slow
 def test_a_batch_is_made_in_a_folder_that_it_locks(tmp_path):
-    job, out, script = write_plain_job(tmp_path, 2, 1, OUTPUTS), tmp_path / "out", tmp_path / "second.py"
+    job, out = write_plain_job(tmp_path, 2, 1, OUTPUTS), tmp_path / "out"
     run_on("windows", "sonar-gl", "batch", job, "--workers", "1", "--out", out)
     assert json.loads((out / "done.json").read_text(encoding="utf-8"))["parts"] == 2
-    script.write_text(LOCK_TWICE.format(str(out)), encoding="utf-8")
-    assert "must have one batch at a time (another is running in it)" in run_on("windows", script)
+    text = run_script("windows", tmp_path, LOCK_TWICE.format(str(out)))
+    assert "must have one batch at a time (another is running in it)" in text
 
 
 @pytest.mark.slow
 @every_system
 def test_a_batch_takes_all_cores_where_the_system_does_not_say_which(system, tmp_path):
-    script = tmp_path / "cores.py"
-    script.write_text(CORES, encoding="utf-8")
-    assert run_on(system, script).split()[-1] == "True"
+    assert run_script(system, tmp_path, CORES).split()[-1] == "True"
 
 
 @pytest.mark.slow
 @every_system
 def test_memory_and_allocators_of_other_systems_are_left_alone(system, tmp_path):
-    script = tmp_path / "memory.py"
-    script.write_text(MEMORY, encoding="utf-8")
-    assert run_on(system, script).split()[-1] == "7.0"
+    assert run_script(system, tmp_path, MEMORY).split()[-1] == "7.0"
 
 
 @pytest.mark.slow
 def test_a_signal_within_an_import_is_not_lost_without_pthread_kill(tmp_path):
     (tmp_path / "imports_anything.py").write_text(IMPORT, encoding="utf-8")
-    script = tmp_path / "interrupted.py"
-    script.write_text(INTERRUPTED, encoding="utf-8")
-    assert "error: interrupted" in run_on("windows", script, status=130)
+    assert "error: interrupted" in run_script("windows", tmp_path, INTERRUPTED, status=130)
 
 
 @pytest.mark.slow
