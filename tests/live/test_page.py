@@ -61,9 +61,12 @@ def wait_for(what, timeout_s=WAIT_S):
 def drag(viewer, along, point, has_moved):
     """Drag the gizmo at a point of the world by its arrow along an axis, until it has moved so far.
 
-    Again, where a slow browser had not drawn the scene as it is by then: such a drag turns the camera.
+    Again, where a slow browser had not drawn the scene as it is by then. Such a drag turns the camera, which may put
+    the gizmo below a panel, where no pointer reaches it: each starts from the same camera, with everything at home.
     """
-    mouse, end_s = viewer.tab.mouse, time.monotonic() + WAIT_S
+    mouse, end_s = viewer.tab.mouse, time.monotonic() + 2 * WAIT_S
+    camera = next(iter(viewer.page.server.get_clients().values())).camera
+    before = camera.position, camera.look_at
     while time.monotonic() < end_s:
         gizmo_m = gizmo_length_m(viewer, point)
         mouse.move(*on_canvas(viewer, point + 0.93 * gizmo_m * along))
@@ -75,8 +78,18 @@ def drag(viewer, along, point, has_moved):
         mouse.up()
         if moved:
             return
+        put_home(viewer)
+        wait_until_drawn(viewer.tab)  # the camera turns on for a while
+        camera.position, camera.look_at = before
         wait_until_drawn(viewer.tab)
-    pytest.fail(f"dragged for {WAIT_S:g} s in vain")
+    pytest.fail(f"dragged for {2 * WAIT_S:g} s in vain")
+
+
+def put_home(viewer):
+    """Put the sonar and the bodies where the scene has them, and the pointer where nothing is."""
+    viewer.session.set_pose(viewer.session.scene.sonar_pose)
+    viewer.session.reset_bodies()
+    viewer.tab.mouse.move(5, 5)
 
 
 @pytest.fixture(scope="module")
@@ -129,10 +142,7 @@ def viewer(tmp_path_factory):
 def at_home(request):
     """Each test starts at the scene's pose, with nothing selected, and the pointer elsewhere."""
     if "viewer" in request.fixturenames:
-        viewer = request.getfixturevalue("viewer")
-        viewer.session.set_pose(viewer.session.scene.sonar_pose)
-        viewer.session.reset_bodies()
-        viewer.tab.mouse.move(5, 5)
+        put_home(request.getfixturevalue("viewer"))
 
 
 def new_pictures(tab, count=3):
