@@ -74,28 +74,29 @@ FILES = {POSES_FILE: next(blocks("csv")).values[0]} | dict(
 )
 
 
-def shell_lines():
-    """Every line of the pages' shell blocks, without its comment."""
-    for block in [*blocks("sh"), *blocks("sh", [BATCHES, ROS2])]:
+def shell_lines(pages=None):
+    """Every line of the shell blocks of all pages or some, without its comment."""
+    for block in blocks("sh", pages) if pages else [*blocks("sh"), *blocks("sh", [BATCHES, ROS2])]:
         for line in block.values[0].splitlines():
             if words := shlex.split(line, comments=True):
                 yield pytest.param(words, id=" ".join(words))
 
 
 def commands():
-    """Commands of the pages; slow are those that price all terms, or draw the largest scenes or fan.
+    """Commands of the pages; slow are those of other pages than README, and those that price all terms.
 
     Slow are also those whose arguments, options and settings (as `looks` in `looks=2`) commands before them have.
     """
     found = [p for p in shell_lines() if p.values[0][0] == "sonar-gl" and p.values[0][1] != "batch"]
-    slow, seen, params = {"plan", "needed", "ocean_floor", "diver_vertical", "p900-130"}, set(), []
+    fast = {p.id for p in shell_lines([ROOT / "README.md"])}
+    slow, seen, params = {"plan", "needed"}, set(), []
     for p in found:
         _, command, *words = p.values[0]
         named = {*takewhile(lambda word: not word.startswith("--"), words), command}
         named |= {word for word in words if word.startswith("--")}
         named |= {name for word in words for name in re.findall(r"(\w+)=", word)}
         new = {(command, name) for name in named} - seen
-        is_slow = slow & {command, *words} or not new
+        is_slow = p.id not in fast or command in slow or not new
         seen |= set() if is_slow else new
         params.append(pytest.param(*p.values, id=p.id, marks=pytest.mark.slow if is_slow else ()))
     return params
