@@ -181,11 +181,13 @@ class Counts:
             flat *= full**-law.exponent
         else:
             dark_db, window_db = law.low_db - law.gain_db, law.high_db - law.low_db
-            share = np.maximum(intensity, np.float32(10 ** (dark_db / 10)), order="C")
+            # from the window's lower end on, whose logarithm is 0 to the bit, however narrow the window is
+            with np.errstate(over="ignore", under="ignore"):  # infinity is full scale
+                share = np.multiply(intensity, np.float32(10 ** (-dark_db / 10)), order="C")
+            np.maximum(share, np.float32(1), out=share)
             flat = share.reshape(1, -1)
             cv2.log(flat, dst=flat)
             flat *= 10 / math.log(10) / window_db
-            flat -= dark_db / window_db
         cv2.patchNaNs(flat, 0.0)  # what a cast makes of them depends on the processor
         return np.clip(share, 0, 1, out=share)
 
