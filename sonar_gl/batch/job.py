@@ -199,6 +199,15 @@ class LabelsTable(Table):
     height: Annotated[int, Field(ge=16, le=8192)] = 512
     level_db: Annotated[float, Field(ge=-LEVEL_BOUND_DB, le=LEVEL_BOUND_DB)] = None
 
+    @model_validator(mode="after")
+    def _check_background(self):
+        if self.background is not None and "shadow" not in self.layers:
+            raise ValueError(
+                "background needs the layer shadow, since it names the bodies on which shadows fall (got layers "
+                f'{self.layers}; add "shadow", or leave background out)'
+            )
+        return self
+
 
 class ArraysTable(Table):
     """How the store keeps intensities.

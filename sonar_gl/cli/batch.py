@@ -20,6 +20,9 @@ from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import Error, escape_controls
 from sonar_gl.core.load_numba import load_numba
 
+# options that say how pings are made
+MAKING = "dry_run", "out", "resume", "any_system", "workers", "device", "cluster"
+
 
 def batch(options) -> int:
     """Run, check or try the batch that the options describe, and return the exit status."""
@@ -29,7 +32,7 @@ def batch(options) -> int:
     if (options.job is None) == (options.check is None):
         raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
     if options.check is not None:
-        _check_alone(options, "--check", "a check makes no pings", ("dry_run", "out", "resume", "any_system"))
+        _check_alone(options, "--check", "a check makes no pings", MAKING)
     if options.dry_run:
         _check_alone(options, "--dry-run", "a dry run counts the whole job", ("resume",))
     tqdm.set_lock(threading.RLock())  # by default it is a lock of processes, which would outlive the command

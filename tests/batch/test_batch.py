@@ -1311,6 +1311,11 @@ BAD = [
         '[pictures]\ncounts = { bits = 16 }\ncolormap = "gray"\nformats = ["png", "mp4"]\n[labels]',
         "without axes, since others have 8 bits (got format mp4; ",
     ),
+    (
+        '"shadow", "boxes"]',
+        '"boxes"]\nbackground = ["floor"]',
+        "labels: background needs the layer shadow, since it names the bodies on which shadows fall (got ",
+    ),
     ("[labels]", "[coco]\ncounts = { gain = 3 }\n[labels]", "coco.counts: counts: unknown key (got 'gain'"),
     ("[labels]", "[coco]\ncounts = 3\n[labels]", "coco.counts: should be a table, such as { law"),
     ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),

@@ -127,6 +127,18 @@ def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monk
             "--check and --out exclude each other (a check makes no pings; leave one out)",
         ),
         (
+            ("--check", ".", "--workers", "2"),
+            "--check and --workers exclude each other (a check makes no pings; leave one out)",
+        ),
+        (
+            ("--check", ".", "--device", "0"),
+            "--check and --device exclude each other (a check makes no pings; leave one out)",
+        ),
+        (
+            ("--check", ".", "--cluster", "tcp://localhost:8786"),
+            "--check and --cluster exclude each other (a check makes no pings; leave one out)",
+        ),
+        (
             ("job.toml", "--dry-run", "--resume"),
             "--dry-run and --resume exclude each other (a dry run counts the whole job; leave one out)",
         ),

@@ -106,7 +106,9 @@ def test_no_echo_has_the_count_zero_in_the_narrowest_window():
         law = Counts(low_db=float(low_db), high_db=float(low_db) + 0.6, bits=16)
         low = np.float32(10 ** (low_db / 10))
         assert law.apply(np.array([0.0, low / 2, 3e38], np.float32)).tolist() == [0, 0, 65535]
-        assert law.share(np.array([low], np.float32))[0] < 2e-6 / 0.6  # float32 of the level itself and of the factor
+        assert (
+            law.share(np.array([low], np.float32))[0] < 2e-6 / 0.6
+        )  # float32 of the level itself and of the factor
 
 
 def test_negative_and_huge_intensities_are_clipped():
