@@ -58,16 +58,36 @@ def wait_for(what, timeout_s=WAIT_S):
     pytest.fail(f"waited {timeout_s:g} s in vain")
 
 
-def drag(viewer, along, point, has_moved):
+def camera_of(viewer):
+    """The camera of the first tab, as the page knows it."""
+    return next(iter(viewer.page.server.get_clients().values())).camera
+
+
+def look(viewer, place):
+    """Put the camera of the first tab to a (position, look_at), and wait until the tab has drawn that."""
+    camera = camera_of(viewer)
+
+    def is_there():
+        return np.allclose([camera.position, camera.look_at], place, atol=1e-3)  # messages have float32
+
+    def has_looked():
+        camera.position, camera.look_at = place
+        wait_until_drawn(viewer.tab)
+        return is_there()  # else an older message of the tab came in between
+
+    wait_for(has_looked)
+
+
+def drag(viewer, place, along, point, has_moved):
     """Drag the gizmo at a point of the world by its arrow along an axis, until it has moved so far.
 
     Again, where a slow browser had not drawn the scene as it is by then. Such a drag turns the camera, which may put
-    the gizmo below a panel, where no pointer reaches it: each starts from the same camera, with everything at home.
+    the gizmo below a panel, where no pointer reaches it: each starts with everything at home, and the camera in place.
     """
     mouse, end_s = viewer.tab.mouse, time.monotonic() + 2 * WAIT_S
-    camera = next(iter(viewer.page.server.get_clients().values())).camera
-    before = camera.position, camera.look_at
     while time.monotonic() < end_s:
+        put_home(viewer)
+        look(viewer, place)
         gizmo_m = gizmo_length_m(viewer, point)
         mouse.move(*on_canvas(viewer, point + 0.93 * gizmo_m * along))
         mouse.down()
@@ -78,10 +98,7 @@ def drag(viewer, along, point, has_moved):
         mouse.up()
         if moved:
             return
-        put_home(viewer)
         wait_until_drawn(viewer.tab)  # the camera turns on for a while
-        camera.position, camera.look_at = before
-        wait_until_drawn(viewer.tab)
     pytest.fail(f"dragged for {2 * WAIT_S:g} s in vain")
 
 
@@ -127,7 +144,7 @@ def viewer(tmp_path_factory):
         tab.goto(page.url)
         tab.wait_for_selector(PICTURE, timeout=1000 * WAIT_S)
         tab.wait_for_function("window.sonarView", timeout=1000 * WAIT_S)  # page.js, which follows the pointer
-        yield SimpleNamespace(
+        viewer = SimpleNamespace(
             browser=browser,
             session=session,
             page=page,
@@ -136,6 +153,8 @@ def viewer(tmp_path_factory):
             failures=failures,
             folder=folder,
         )
+        viewer.place = camera_of(viewer).position, camera_of(viewer).look_at
+        yield viewer
 
 
 @pytest.fixture(autouse=True)
@@ -458,7 +477,7 @@ def test_a_selected_body_stands_out(viewer):
 
 def on_canvas(viewer, point):
     """The place of the page where a point of the world is drawn."""
-    camera = next(iter(viewer.page.server.get_clients().values())).camera
+    camera = camera_of(viewer)
     box = viewer.tab.locator("canvas").first.bounding_box()
     ahead = camera.look_at - camera.position
     ahead = ahead / np.linalg.norm(ahead)
@@ -474,7 +493,7 @@ def on_canvas(viewer, point):
 
 def gizmo_length_m(viewer, point):
     """The length in the world of a gizmo's arrow at a point: so many pixels at its distance."""
-    camera = next(iter(viewer.page.server.get_clients().values())).camera
+    camera = camera_of(viewer)
     ahead = camera.look_at - camera.position
     depth_m = (point - camera.position) @ ahead / np.linalg.norm(ahead)
     height = viewer.tab.locator("canvas").first.bounding_box()["height"]
@@ -486,23 +505,19 @@ def test_the_gizmo_drags_a_body_that_was_clicked(viewer):
     home, up = session.bodies()["pylon_square"], np.array([0.0, 0.0, 1.0])
     (pylon,) = (one for one in session.scene.bodies if one.name == "pylon_square")
     middle = (home @ [*pylon.mesh.bounds.mean(0), 1.0])[:3]  # where the gizmo is
-    camera = next(iter(viewer.page.server.get_clients().values())).camera
-    before = camera.position, camera.look_at
-    camera.position, camera.look_at = middle - 12.0 * np.eye(3)[0] + 8.0 * up, middle
-    wait_for(lambda: np.allclose(camera.look_at, middle, atol=1e-3))  # messages have float32
-    wait_until_drawn(tab)
+    place = middle - 12.0 * np.eye(3)[0] + 8.0 * up, middle
+    look(viewer, place)
     mouse.move(*on_canvas(viewer, middle))
     mouse.click(*on_canvas(viewer, middle))
     tab.get_by_role("button", name="Unselect").wait_for(timeout=1000 * WAIT_S)
     assert session.highlighted == "pylon_square"
-    wait_until_drawn(tab)
-    drag(viewer, up, middle, lambda far_m: (session.bodies()["pylon_square"] - home)[:3, 3] @ up > far_m)
+    drag(
+        viewer, place, up, middle, lambda far_m: (session.bodies()["pylon_square"] - home)[:3, 3] @ up > far_m
+    )
     moved = (session.bodies()["pylon_square"] - home)[:3, 3]
     assert moved - (moved @ up) * up == pytest.approx(np.zeros(3), abs=1e-3)  # messages have float32
     tab.get_by_role("button", name="Unselect").click()
     wait_for(lambda: session.highlighted == "")
-    camera.position, camera.look_at = before
-    wait_until_drawn(tab)  # the next test clicks where this camera draws
 
 
 @pytest.mark.parametrize("axis", [0, 2])  # the first is below the picture
@@ -513,7 +528,13 @@ def test_the_gizmo_drags_the_sonar(viewer, axis):
     # pictures are shown before the scene is: of slow browsers it changes each 1.5 s
     wait_for(lambda: np.allclose(gizmo.position, start[:3, 3], atol=1e-6))
     new_pictures(viewer.tab, 10)
-    drag(viewer, along, start[:3, 3], lambda far_m: (session.pose[:3, 3] - start[:3, 3]) @ along > far_m)
+    drag(
+        viewer,
+        viewer.place,
+        along,
+        start[:3, 3],
+        lambda far_m: (session.pose[:3, 3] - start[:3, 3]) @ along > far_m,
+    )
     wait_until_still(session)  # the page learns of the end of a drag later; the next test has another start
     moved = session.pose[:3, 3] - start[:3, 3]
     # along its axis; messages have float32
