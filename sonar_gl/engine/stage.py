@@ -114,12 +114,14 @@ class StageCache:
             if there are more samples than fit.
         """
         key = sampling, shear
-        found = self._stages.pop(key, None) or self.make(sampling, shear)
-        self._stages[key] = found  # the last one used is last
+        if (found := self._stages.pop(key, None)) is not None:
+            self._stages[key] = found  # the last one used is last
+            return found
+        made = self._stages[key] = self.make(sampling, shear)
         n_bytes = sum(stage.beamformer.n_bytes for stage in self._stages.values())
         while len(self._stages) > MAX_STAGES or (len(self._stages) > 2 and n_bytes > MAX_BYTES):
             n_bytes -= self._stages.pop(next(iter(self._stages))).beamformer.n_bytes
-        return found
+        return made
 
     def drop_large(self) -> None:
         """Give back the memory of large render targets, and what was freed; samples that were drawn stay valid."""
