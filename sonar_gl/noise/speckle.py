@@ -16,6 +16,9 @@ from sonar_gl.noise.gaussian import standard_normal
 
 # Multiplications in a matrix product that BLAS computes in one thread. More threads stall on busy cores.
 ONE_THREAD_PRODUCT = 500_000
+# Beam widths between the ends of a fan, across its back, from which on they share less than 2 % of their intensity's
+# variance: the fan is no circle then.
+CLOSING_WIDTHS = 2.0
 BINS_TOGETHER = (
     64  # of several such products: fewer would be added to parts of cache lines, in another page each
 )
@@ -86,15 +89,17 @@ def beam_matrix(
     Each of M elements contributes a wave over azimuth, cosine and sine of one frequency. The frequencies fill
     the band that the aperture passes evenly, and the taper weights them. For a uniform array, beams D apart
     correlate as sinc(0.8859 D / width). A finite sum of waves is periodic. The period exceeds the fan by some
-    beam widths; a full circle is its own period.
+    beam widths. A fan whose ends nearly meet is a circle, which is its own period: the width of beams is rounded
+    to a whole number of waves in it, by 6 % of beams 50 degrees wide.
     """
     azimuth = np.asarray(azimuth_rad)
     independent_widths = 1.7 if taper_series else 0.95
     if len(azimuth) < 2 or np.diff(azimuth).min() >= independent_widths * beam_width_rad:
         return None
-    period = min(2 * np.pi, 1.2 * (azimuth[-1] - azimuth[0]) + 12 * beam_width_rad)
+    is_circle = azimuth[0] + 2 * np.pi - azimuth[-1] < CLOSING_WIDTHS * beam_width_rad
+    period = 2 * np.pi if is_circle else 1.2 * (azimuth[-1] - azimuth[0]) + 12 * beam_width_rad
     elements = max(1, round(aperture_width(taper_series) * period / beam_width_rad))
-    if period < 2 * np.pi:  # the width is exact, the period follows from the rounded number of elements
+    if not is_circle:  # the width is exact, the period follows from the rounded number of elements
         period = elements * beam_width_rad / aperture_width(taper_series)
     positions = np.arange(elements) - (elements - 1) / 2
     frequencies = positions * (2 * np.pi / period)

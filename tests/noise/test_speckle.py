@@ -129,6 +129,18 @@ def test_correlation_of_all_pairs_of_beams(fov_deg):
     assert np.abs(found**2 - expected**2).max() < 1.2e-3  # of the intensity's variance, all pairs
 
 
+@pytest.mark.parametrize(
+    ("width_deg", "azimuth_deg"), [(50.0, (-15.0, 15.0)), (60.0, (-50.0, -20.0, 0.0, 10.0, 50.0))]
+)
+def test_wide_beams_correlate_by_their_own_width(width_deg, azimuth_deg):
+    """Few of their waves fit into a circle, and a whole number of them is another width."""
+    azimuth = np.radians(azimuth_deg)
+    matrix = beam_matrix(tuple(azimuth.tolist()), float(np.radians(width_deg))).astype(np.float64)
+    expected = np.sinc(UNIFORM_WIDTH * np.subtract.outer(azimuth, azimuth) / np.radians(width_deg))
+    # by (π t/M)²/6, as above, M 11 or more
+    assert np.abs(matrix @ matrix.T - expected).max() < 0.02
+
+
 @pytest.mark.parametrize("middle", [0.0, 0.4])
 @pytest.mark.parametrize("n_beams", [2, 7, 64])
 def test_symmetric_fans_need_half_of_the_matrix(n_beams, middle):
