@@ -99,6 +99,9 @@ class LiveView:
         self._page.close()
         self.session.close()
 
+    def __repr__(self):
+        return f"<LiveView at {self.url}>"
+
     def __reduce__(self):
         raise copied_error("LiveView")  # in place of what copy and pickle say of a lock
 
