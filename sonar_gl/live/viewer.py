@@ -136,8 +136,8 @@ def view(
     scene : Scene, or a text of `load_scene`
     sonar : Sonar, or a text of `load_sonar`; None for the scene's, or else preset p900-45
     pose : (4, 4) world_from_sonar; or the path of a file of poses, a trajectory; None for the scene's
-    on_ping : function (Ping), called with each ping in a thread of its own. A slow one misses pings. Pings are made
-        only while a browser is there, or a function
+    on_ping : function (Ping), not async, called with each ping in a thread of its own. A slow one misses pings. Pings
+        are made only while a browser is there, or a function
     host, port : to listen at; other machines can reach addresses other than 127.0.0.1. If the port is taken, the page
         takes another
     folder : of the files that the page writes

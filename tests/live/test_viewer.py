@@ -144,6 +144,10 @@ def test_a_view_waits_no_longer_once_its_session_is_closed():
         assert not waiting.is_alive()
 
 
+async def note_later(ping):
+    """Of a notebook, whose event loop runs: never awaited, and so without effect."""
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [
@@ -153,6 +157,10 @@ def test_a_view_waits_no_longer_once_its_session_is_closed():
         ({"pose": "no.csv"}, "no.csv"),
         ({"tolerance": 7}, "tolerance"),
         ({"on_ping": 7}, r"on_ping must be a function of a Ping \(got 7\)"),
+        (
+            {"on_ping": note_later},
+            r"on_ping must be a plain function of a Ping \(got an async one; .*threadsafe\)",
+        ),
         ({"no_setting": 7}, "unknown setting"),
     ],
 )
