@@ -141,7 +141,8 @@ def view(
     host, port : to listen at; other machines can reach addresses other than 127.0.0.1. If the port is taken, the page
         takes another
     folder : of the files that the page writes
-    block : whether to return only after Ctrl-C; a notebook says False, and closes the view that it gets
+    block : whether to return only after Ctrl-C; a notebook says False, and closes the view that it gets, also before
+        its cell runs again: a view stays open when nothing refers to it any more
     settings : fields of `sonar_gl.live.settings.LiveSettings`, such as range_m=20.0, tolerance=0.02 or noise="none"
 
     Returns
