@@ -100,7 +100,7 @@ class LiveView:
         self.session.close()
 
     def __repr__(self):
-        return f"<LiveView at {self.url}>"
+        return f"<LiveView at {self.url}{', closed' if self.session.wait_closed(0) else ''}>"
 
     def __reduce__(self):
         raise copied_error("LiveView")  # in place of what copy and pickle say of a lock

@@ -174,6 +174,7 @@ def test_the_repr_of_a_view_names_its_address():
     """What a notebook shows of it, which opens no browser by itself."""
     with sg.view("pylon", "p900-45", block=False, tolerance=0.2, port=8123) as opened:
         assert repr(opened) == "<LiveView at http://127.0.0.1:8123>"
+    assert repr(opened) == "<LiveView at http://127.0.0.1:8123, closed>"
 
 
 def test_a_port_that_cannot_be_had_is_an_error():
