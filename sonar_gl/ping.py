@@ -28,7 +28,7 @@ BIN_LABELS = {
 NOISE_PARTS = "coherent", "texture_deviation", "volume"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GBuffer:
     """Samples of the depth + normal pass of one sector. R rows (elevation), C columns (azimuth).
 
@@ -47,6 +47,11 @@ class GBuffer:
     normal: np.ndarray
     echo: np.ndarray
     body_id: np.ndarray
+
+    def __repr__(self):
+        shape = np.shape(self.range_m)
+        size = f"{shape[0]} rows x {shape[1]} columns" if len(shape) == 2 else f"shape {shape}"
+        return f"<GBuffer of {size}>"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

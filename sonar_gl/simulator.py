@@ -282,6 +282,16 @@ class Simulator:
         if self._run is not None:
             self._run.close()
 
+    def __repr__(self):
+        if self._run is None:  # an argument is wrong
+            return "<Simulator>"
+        try:
+            world = self.world
+        except Error:
+            return f"<Simulator of sonar {self.sonar.name!r}, closed>"
+        name, by = world.given_scene.name, world.gl_info["renderer"]
+        return f"<Simulator of scene {name!r}, sonar {self.sonar.name!r}, by {by}>"
+
     def __reduce__(self):
         raise copied_error("Simulator")  # in place of what copy and pickle say of a lock
 

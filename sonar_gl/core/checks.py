@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Iterable
 from typing import get_args
@@ -79,9 +80,15 @@ def check_kind(name: str, value, kind, cure: str):
 
 
 def check_function(name: str, value, argument: str):
-    """Raise an `Error` unless `value` can be called; `argument` says with what."""
+    """Raise an `Error` unless `value` can be called, and does its work then; `argument` says with what."""
     if not callable(value):
         raise Error(f"{name} must be a function of {argument} (got {shown(value)})")
+    if inspect.iscoroutinefunction(value) or inspect.iscoroutinefunction(type(value).__call__):
+        # its body would never run, and Python says so elsewhere, in words of its own
+        raise Error(
+            f"{name} must be a plain function of {argument} (got an async one; it is called in a thread without an "
+            "event loop, so have a plain one hand over by loop.call_soon_threadsafe)"
+        )
 
 
 def holds_numbers(array) -> bool:

@@ -99,6 +99,9 @@ class LiveView:
         self._page.close()
         self.session.close()
 
+    def __repr__(self):
+        return f"<LiveView at {self.url}{', closed' if self.session.wait_closed(0) else ''}>"
+
     def __reduce__(self):
         raise copied_error("LiveView")  # in place of what copy and pickle say of a lock
 
@@ -133,12 +136,13 @@ def view(
     scene : Scene, or a text of `load_scene`
     sonar : Sonar, or a text of `load_sonar`; None for the scene's, or else preset p900-45
     pose : (4, 4) world_from_sonar; or the path of a file of poses, a trajectory; None for the scene's
-    on_ping : function (Ping), called with each ping in a thread of its own. A slow one misses pings. Pings are made
-        only while a browser is there, or a function
+    on_ping : function (Ping), not async, called with each ping in a thread of its own. A slow one misses pings. Pings
+        are made only while a browser is there, or a function
     host, port : to listen at; other machines can reach addresses other than 127.0.0.1. If the port is taken, the page
         takes another
     folder : of the files that the page writes
-    block : whether to return only after Ctrl-C; a notebook says False, and closes the view that it gets
+    block : whether to return only after Ctrl-C; a notebook says False, and closes the view that it gets, also before
+        its cell runs again: a view stays open when nothing refers to it any more
     settings : fields of `sonar_gl.live.settings.LiveSettings`, such as range_m=20.0, tolerance=0.02 or noise="none"
 
     Returns

@@ -13,7 +13,7 @@ upright planes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -91,7 +91,7 @@ class Sector:
     v: np.ndarray
     tan_low: float
     tan_high: float
-    strips: Strips | None = None
+    strips: Strips | None = field(default=None, repr=False)
 
     def within(self, first_column: int, first_row: int, columns: int, rows: int) -> Sector:
         """Return the sector whose lattice is that of a window of the samples."""

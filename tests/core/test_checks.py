@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import doctest
+import functools
 import math
 
 import numpy as np
 import pytest
 
 from sonar_gl.core import checks, errors
-from sonar_gl.core.checks import check_choice, check_number, check_whole_number, frozen_array
+from sonar_gl.core.checks import check_choice, check_function, check_number, check_whole_number, frozen_array
 from sonar_gl.core.errors import Error
 
 
@@ -141,3 +142,19 @@ def test_a_duration_is_no_number(check):
 @pytest.mark.parametrize("dtype", [np.int8, np.float16, np.longdouble])
 def test_numbers_of_numpy_need_not_hold_the_bounds(dtype):
     assert check_number("x", dtype(2), -1e10, 1e10) == 2
+
+
+class _Later:
+    async def __call__(self, ping): ...
+
+
+async def _later(ping): ...
+
+
+@pytest.mark.parametrize("function", [_later, _Later(), functools.partial(_later, ping=None)])
+def test_a_function_that_would_have_to_be_awaited_is_refused(function):
+    with pytest.raises(Error, match=r"^on_ping must be a plain function of a Ping \(got an async one; "):
+        check_function("on_ping", function, "a Ping")
+    check_function("on_ping", [].append, "a Ping")
+    check_function("on_ping", functools.partial(print, end=""), "a Ping")
+    check_function("on_ping", np.max, "a Ping")

@@ -814,6 +814,20 @@ def test_the_repr_of_a_ping_is_one_short_line():
     assert repr(sg.Ping(None, None, None)) == "<Ping of shape ()>"
 
 
+def test_the_repr_of_a_simulator_and_of_what_it_shows_is_short():
+    """In a notebook a cell `simulator.gbuffers(pose)` or `simulator.fan` printed over 100 000 characters."""
+    sonar = sg.load_sonar("p900-45")
+    with sg.Simulator(sg.Scene([], name="sea"), sonar, sampling=sg.Sampling(1, 8)) as simulator:
+        renderer = simulator.gl_info["renderer"]
+        assert repr(simulator) == f"<Simulator of scene 'sea', sonar 'p900-45', by {renderer}>"
+        buffer, *_ = simulator.gbuffers(sg.pose())
+        rows, columns = buffer.range_m.shape
+        assert repr(buffer) == f"<GBuffer of {rows} rows x {columns} columns>"
+        assert len(repr(simulator.fan)) < 5000
+    assert repr(simulator) == "<Simulator of sonar 'p900-45', closed>"
+    assert repr(sg.GBuffer(None, None, None, None, None)) == "<GBuffer of shape ()>"
+
+
 @pytest.mark.parametrize("name", ["sonar", "acoustics"])
 def test_what_a_simulator_was_made_with_is_not_changed(name):
     """Else `simulator.sonar = sonar.with_range(5)` is taken, and pings keep the range that they had."""

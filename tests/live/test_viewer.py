@@ -144,6 +144,10 @@ def test_a_view_waits_no_longer_once_its_session_is_closed():
         assert not waiting.is_alive()
 
 
+async def note_later(ping):
+    """Of a notebook, whose event loop runs: never awaited, and so without effect."""
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [
@@ -153,6 +157,10 @@ def test_a_view_waits_no_longer_once_its_session_is_closed():
         ({"pose": "no.csv"}, "no.csv"),
         ({"tolerance": 7}, "tolerance"),
         ({"on_ping": 7}, r"on_ping must be a function of a Ping \(got 7\)"),
+        (
+            {"on_ping": note_later},
+            r"on_ping must be a plain function of a Ping \(got an async one; .*threadsafe\)",
+        ),
         ({"no_setting": 7}, "unknown setting"),
     ],
 )
@@ -160,6 +168,13 @@ def test_wrong_arguments_are_errors(pages, arguments, message):
     with pytest.raises(sg.Error, match=message):
         sg.view(**{"scene": "pylon", "block": False, **arguments})
     assert pages == []
+
+
+def test_the_repr_of_a_view_names_its_address():
+    """What a notebook shows of it, which opens no browser by itself."""
+    with sg.view("pylon", "p900-45", block=False, tolerance=0.2, port=8123) as opened:
+        assert repr(opened) == "<LiveView at http://127.0.0.1:8123>"
+    assert repr(opened) == "<LiveView at http://127.0.0.1:8123, closed>"
 
 
 def test_a_port_that_cannot_be_had_is_an_error():
