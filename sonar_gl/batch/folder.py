@@ -102,7 +102,9 @@ def record_bytes(values: dict) -> bytes:
 
 
 def _json_bytes(value) -> bytes:
-    return (json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()
+    return (json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode(
+        errors="backslashreplace"
+    )
 
 
 @contextmanager

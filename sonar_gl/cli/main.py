@@ -118,6 +118,10 @@ def _describe_os_error(why: OSError) -> str:
     reason = why.strerror or str(why)
     if why.filename is None and why.errno == errno.ENOSPC:
         return f"the standard output must be writable (got {reason.lower()})"
+    if why.filename is None and reason.startswith("No usable temporary directory"):  # of `tempfile`
+        return (
+            "a folder for temporary files must be there (got none that can be written to; set TMPDIR to one)"
+        )
     if why.filename is None and why.errno == errno.ENOENT:  # of `os.getcwd`
         return "the working directory must exist (it has been removed; change to another folder)"
     return f"{why.filename or 'files'}: {reason}"

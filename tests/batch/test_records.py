@@ -202,6 +202,14 @@ def test_files_that_belong_to_no_part_are_mended(made, out):
     assert_mended(made, out)
 
 
+def test_paths_that_are_no_utf8_come_back_from_records(tmp_path):
+    """The job file of a batch may lie in such a folder, which ended with a UnicodeEncodeError."""
+    folder, values = Folder(tmp_path), {"file": os.fsdecode(b"\xff/\xc3\xa4.toml")}
+    folder.put_record("one.json", values)
+    assert folder.get_record("one.json", "") == values
+    assert json.loads((tmp_path / "one.json").read_text(encoding="utf-8"))["file"] == values["file"]
+
+
 # ---- the lock ---------------------------------------------------------------------------------------
 
 
