@@ -23,6 +23,7 @@ from fsspec.implementations.local import LocalFileSystem
 from sonar_gl.core.atomic_file import temporary_path
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import describe_kind
+from sonar_gl.core.warn import warn_caller
 
 try:
     import fcntl
@@ -31,6 +32,11 @@ except ImportError:  # on Windows
     import msvcrt
 
 LOCK, UNFINISHED = ".lock", ".begun"  # the latter is a folder of files that are being written
+NO_LOCKS = (
+    errno.ENOSYS,
+    errno.ENOLCK,
+    errno.EOPNOTSUPP,
+)  # of file systems that lock no files, as Lustre may be mounted
 CHECKSUM_KEY = "sha256"  # of a record: that of its other keys
 
 
@@ -96,7 +102,9 @@ def record_bytes(values: dict) -> bytes:
 
 
 def _json_bytes(value) -> bytes:
-    return (json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()
+    return (json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode(
+        errors="backslashreplace"
+    )
 
 
 @contextmanager
@@ -154,7 +162,8 @@ class Folder:
     def locked(self):
         """Keep other batches of this machine out of the folder during the block; an Error if one is in it.
 
-        The file of the lock stays: who has opened it meanwhile would otherwise lock a file that has gone.
+        Warns where the file system has no locks: two batches disturb each other there, but finished parts stay as they
+        are. The file of the lock stays: who has opened it meanwhile would otherwise lock a file that has gone.
         """
         if not self.is_local:
             yield
@@ -166,6 +175,13 @@ class Folder:
                 raise Error(
                     f"{self.root}: must have one batch at a time (another is running in it)"
                 ) from None
+            except OSError as why:
+                if why.errno not in NO_LOCKS:
+                    raise
+                warn_caller(
+                    f"{self.root}: must be on a file system with locks for a second batch to be kept out (got "
+                    f"{why.strerror.lower()}; run one at a time)"
+                )
             shutil.rmtree(self.path(UNFINISHED), ignore_errors=True)  # left by processes that were killed
             try:
                 yield

@@ -152,10 +152,11 @@ async def listen(server, describe: Callable[[], str]) -> None:
 
 @contextmanager
 def _cancelled_by_signals(task: asyncio.Task):
-    """Have Ctrl-C and SIGTERM cancel a task, where they would raise KeyboardInterrupt in whichever task runs."""
+    """Have Ctrl-C, SIGTERM and SIGHUP cancel a task; they would raise KeyboardInterrupt in whichever task runs."""
     loop, before = asyncio.get_running_loop(), {}
     if threading.current_thread() is threading.main_thread():  # others may have no handlers
-        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+        handlers = {number: signal.getsignal(number) for number in (getattr(signal, name) for name in names)}
         before = {number: handler for number, handler in handlers.items() if callable(handler)}
     # by the loop, which wakes up: after a handler of signal.signal it may wait on for its next event
     for number in before:

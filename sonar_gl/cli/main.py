@@ -65,7 +65,7 @@ class CommandGroup(click.Group):
 
 @contextmanager
 def _interrupts():
-    """Have SIGTERM end a command as Ctrl-C does, since service managers and containers send it; and lose neither.
+    """Have SIGTERM, which service managers and containers send, and SIGHUP end a command as Ctrl-C does; lose none.
 
     While modules are imported a signal waits: trimesh imports others under `except BaseException`, and would take the
     KeyboardInterrupt for the lack of a module.
@@ -87,6 +87,9 @@ def _interrupts():
     # not where the caller has set another handler, or it is ignored, as in the background
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         numbers.append(signal.SIGINT)
+    # of a terminal that is closed, else files that are half written stay; nohup has it ignored
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        numbers.append(signal.SIGHUP)
     before = {number: signal.signal(number, interrupt) for number in numbers}
     try:
         yield
@@ -118,6 +121,10 @@ def _describe_os_error(why: OSError) -> str:
     reason = why.strerror or str(why)
     if why.filename is None and why.errno == errno.ENOSPC:
         return f"the standard output must be writable (got {reason.lower()})"
+    if why.filename is None and reason.startswith("No usable temporary directory"):  # of `tempfile`
+        return (
+            "a folder for temporary files must be there (got none that can be written to; set TMPDIR to one)"
+        )
     if why.filename is None and why.errno == errno.ENOENT:  # of `os.getcwd`
         return "the working directory must exist (it has been removed; change to another folder)"
     return f"{why.filename or 'files'}: {reason}"

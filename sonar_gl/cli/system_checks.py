@@ -15,6 +15,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.cli import warm_up
 from sonar_gl.cli.driver_report import MAX_NOISE, sample_noise
 from sonar_gl.cli.output import echo
+from sonar_gl.core.compiled import reason_not_kept
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import pip_install
@@ -107,10 +108,12 @@ def check_compiled_functions():
     compilation = warm_up.compile_everything(_show_progress)
     folder = warm_up.cache_folder()
     detail = f"{compilation.n_functions}; {compilation.n_compiled} compiled now, {compilation.seconds:.0f} s"
-    if folder is not None and os.access(folder, os.W_OK):
+    reason = reason_not_kept()
+    if folder is not None and os.access(folder, os.W_OK) and reason is None:
         return True, f"{detail}; kept in {folder}", ""
     cure = "each run compiles again; set NUMBA_CACHE_DIR to a folder that can be written to"
-    return None, f"{detail}; cannot be kept{f' in {folder}' if folder else ''}", cure
+    where = f" in {folder}" if folder else ""
+    return None, f"{detail}; cannot be kept{where}{f' ({reason})' if reason else ''}", cure
 
 
 def _show_progress(text: str):

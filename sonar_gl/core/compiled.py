@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import sys
 from functools import cache
+from pickle import UnpicklingError
 
 from numba import config, njit
 from numba.core import cgutils, event, types
+from numba.core.caching import FunctionCache
+from numba.core.dispatcher import Dispatcher
 from numba.core.imputils import impl_ret_borrowed
 from numba.extending import intrinsic
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.warn import warn_caller
 
 if config.DISABLE_JIT:  # intrinsics have no other form, and a ping would take minutes
     raise Error("NUMBA_DISABLE_JIT must be 0 or unset, since pings need compiled code (got 1; unset it)")
@@ -26,6 +30,8 @@ AFTER_INSTALLATION = "once after each installation ('sonar-gl doctor' compiles a
 IN_EACH_PROCESS = (
     "in each process, since no folder to keep them in can be written to; set NUMBA_CACHE_DIR to one that can"
 )
+# what Numba raises for a file of machine code that is cut off, as by a loss of power, or cannot be read or written
+UNUSABLE_FILE = OSError, EOFError, UnpicklingError
 
 
 def compiled(function):
@@ -50,9 +56,66 @@ def uncounted(function):
 def _kept(function, options: dict):
     """Compile a function, and keep its machine code on disk where that is possible."""
     try:
-        return njit(cache=True, **options)(function)
+        kept = njit(cache=True, **options)(function)
     except RuntimeError:  # "cannot cache function": no writable folder
         return njit(**options)(function)
+    _bear_unusable_files(kept)
+    return kept
+
+
+def _bear_unusable_files(kept: Dispatcher) -> None:
+    """Have a function that Numba keeps on disk run also where the disk is full, or its files there are damaged.
+
+    Numba raises what it meets there, of a full disk after the function has been compiled.
+    """
+    compile_kept = kept.compile
+
+    def compile_any(signature):
+        is_new = False
+        while True:
+            n_before = len(kept.overloads)
+            try:
+                return compile_kept(signature)
+            except UNUSABLE_FILE as why:
+                reason = (getattr(why, "strerror", None) or str(why)).lower()
+            if len(kept.overloads) > n_before:  # it is compiled, and the next turn finds it
+                _warn_not_kept(kept.stats.cache_path, reason)
+            elif is_new or not _begin_files_anew(kept):
+                raise Error(
+                    f"the machine code that is kept in {kept.stats.cache_path!r} must be readable (got {reason}; "
+                    "delete that folder, or set NUMBA_CACHE_DIR to another one)"
+                )
+            else:
+                is_new = True
+
+    kept.compile = compile_any
+
+
+def _begin_files_anew(kept: Dispatcher) -> bool:
+    """Forget the machine code of a function on disk, and return whether that was possible."""
+    try:
+        FunctionCache(kept.py_func).flush()
+    except OSError:
+        return False
+    return True
+
+
+_reasons_not_kept = []  # of this process, the first of them
+
+
+def reason_not_kept() -> str | None:
+    """Return why machine code that this process has compiled could not be written to its folder, or None."""
+    return _reasons_not_kept[0] if _reasons_not_kept else None
+
+
+def _warn_not_kept(folder: str, reason: str) -> None:
+    """Warn once that machine code could not be written to its folder."""
+    if not _reasons_not_kept:
+        _reasons_not_kept.append(reason)
+        warn_caller(
+            f"compiled functions must find room in {folder!r}, else each process compiles them again (got "
+            f"{reason}; make room, or set NUMBA_CACHE_DIR to another folder)"
+        )
 
 
 def inlined(function):

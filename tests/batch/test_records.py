@@ -1,7 +1,9 @@
 """Records of a batch: damage of any kind is found, and can be mended; other drivers and libraries are refused."""
 
+import errno
 import fcntl
 import json
+import os
 import re
 import shutil
 from dataclasses import replace
@@ -200,6 +202,14 @@ def test_files_that_belong_to_no_part_are_mended(made, out):
     assert_mended(made, out)
 
 
+def test_paths_that_are_no_utf8_come_back_from_records(tmp_path):
+    """The job file of a batch may lie in such a folder, which ended with a UnicodeEncodeError."""
+    folder, values = Folder(tmp_path), {"file": os.fsdecode(b"\xff/\xc3\xa4.toml")}
+    folder.put_record("one.json", values)
+    assert folder.get_record("one.json", "") == values
+    assert json.loads((tmp_path / "one.json").read_text(encoding="utf-8"))["file"] == values["file"]
+
+
 # ---- the lock ---------------------------------------------------------------------------------------
 
 
@@ -213,6 +223,28 @@ def test_one_process_at_a_time_has_the_lock_even_if_it_was_waited_for(tmp_path):
         with pytest.raises(sg.Error, match="must have one batch at a time"), folder.locked():
             pass
     with folder.locked():
+        pass
+
+
+@pytest.mark.parametrize("code", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_is_warned_of(code, tmp_path, monkeypatch):
+    """As Lustre may be mounted. Every batch ended there with 'files: Function not implemented'."""
+
+    def flock(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    expected = f"locks .* {os.strerror(code).lower()}; run one at a time"
+    with pytest.warns(UserWarning, match=expected), Folder(tmp_path).locked():
+        pass
+
+
+def test_other_errors_of_the_lock_are_raised(tmp_path, monkeypatch):
+    def flock(*_):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with pytest.raises(OSError, match="Input/output error"), Folder(tmp_path).locked():
         pass
 
 

@@ -224,6 +224,12 @@ def test_cache_that_cannot_be_kept_is_told(monkeypatch, nothing_to_compile):
     assert ok is None and "; cannot be kept in " in detail and "NUMBA_CACHE_DIR" in cure
 
 
+def test_a_full_disk_of_the_cache_is_told(monkeypatch, nothing_to_compile):
+    monkeypatch.setattr(system_checks, "reason_not_kept", lambda: "no space left on device")
+    ok, detail, cure = system_checks.check_compiled_functions()
+    assert ok is None and detail.endswith(" (no space left on device)") and "NUMBA_CACHE_DIR" in cure
+
+
 @pytest.mark.slow
 def test_every_compiled_function_is_compiled(tmp_path):
     """In a process with an empty cache: functions that others call have no signatures where those come from disk.

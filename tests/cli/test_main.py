@@ -680,6 +680,20 @@ def test_a_working_directory_that_is_gone_is_named(folder):
     assert err == "error: the working directory must exist (it has been removed; change to another folder)\n"
 
 
+def test_a_missing_folder_for_temporary_files_is_named(monkeypatch):
+    """A dry run said that the working directory had been removed, in a container where nothing can be written to."""
+
+    def none(*_):
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp', '/']")
+
+    monkeypatch.setattr("sonar_gl.cli.listings.scenes_text", none)
+    assert run("scenes") == (
+        2,
+        "",
+        "error: a folder for temporary files must be there (got none that can be written to; set TMPDIR to one)\n",
+    )
+
+
 def test_a_mistake_has_its_status_where_errors_cannot_be_written():
     with open("/dev/full", "w") as full:
         ran = python("-m", "sonar_gl", "batch", "nope.toml", capture_output=False, stderr=full)

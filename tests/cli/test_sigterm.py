@@ -13,6 +13,7 @@ from sonar_gl import ros
 from tests.support.command_line import run
 from tests.support.commands_beside import run_beside
 from tests.support.loopback_transport import LoopbackTransport
+from tests.support.processes import python
 
 QUICK = "pylon", "--profile", "ideal", "--noise", "none", "--tolerance", "0.2"
 WAIT_S = 180.0  # a machine that tests run on may be slow, and compile kernels first
@@ -72,3 +73,27 @@ def test_a_signal_within_an_import_is_not_lost(number, unhandled, monkeypatch, t
     status, _, errors = run("render", "pylon")
     assert status == 130 and errors.endswith("\nerror: interrupted\n")
     assert not unhandled
+
+
+@pytest.mark.parametrize(("ignored", "expected"), [(False, (130, [])), (True, (0, ["pylon.mp4"]))])
+def test_a_closed_terminal_leaves_no_half_written_film(ignored, expected, tmp_path):
+    """SIGHUP killed the command, which left the film under a hidden name; nohup has the signal ignored."""
+    code = """
+import os, signal, sys
+import sonar_gl as sg
+from sonar_gl.cli.main import main
+signal.signal(signal.SIGHUP, signal.SIG_IGN if sys.argv.pop(1) == "True" else signal.SIG_DFL)
+ping = sg.Simulator.ping
+def hang_up(*arguments, **more):
+    if arguments[5] == 1:
+        os.kill(os.getpid(), signal.SIGHUP)
+    return ping(*arguments, **more)
+sg.Simulator.ping = hang_up
+main()
+"""
+    poses = "t,x,y,z,roll,pitch,yaw\n" + "".join(f"{t},0,0,-5,0,0.2,0\n" for t in range(3))
+    (tmp_path / "poses.csv").write_text(poses)
+    options = ["--poses", tmp_path / "poses.csv", "--profile", "ideal", "--bins", "20", "--height", "40"]
+    options += ["--format", "mp4", "--out", tmp_path / "out", "--engine", "cpu"]
+    done = python("-c", code, str(ignored), "render", "pylon", *map(str, options))
+    assert (done.returncode, os.listdir(tmp_path / "out")) == expected

@@ -1,10 +1,15 @@
 """Compiled functions: tables whose shape the compiler knows, and what is said of compilation."""
 
+import resource
+from pathlib import Path
+
 import numba
 import numpy as np
 import pytest
 
-from sonar_gl.core.compiled import announce_compilation, as_table
+from sonar_gl.core import compiled as module
+from sonar_gl.core.compiled import announce_compilation, as_table, compiled, reason_not_kept
+from sonar_gl.core.errors import Error
 from tests.support.processes import python
 
 
@@ -49,6 +54,54 @@ def test_the_announcement_says_whether_the_machine_code_is_kept(is_kept, tmp_pat
             "that can\n"
         )
     )
+
+
+def kept_function():
+    """Return a new object of one and the same function, as another process has it."""
+
+    def add(x):
+        return x + 1
+
+    return compiled(add)
+
+
+def test_functions_run_where_their_machine_code_finds_no_room(tmp_path, monkeypatch):
+    """In a home folder that was full, each ping ended with the error that the standard output must be writable."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(module, "_reasons_not_kept", [])
+    add, limits = kept_function(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (64, limits[1]))
+    try:
+        with pytest.warns(UserWarning, match="find room in .* file too large; .* NUMBA_CACHE_DIR") as found:
+            assert (add(1), add(1.5)) == (2, 2.5)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert len(found) == 1 and reason_not_kept() == "file too large"
+    assert kept_function()(1) == 2  # once there is room, it is kept
+    assert list(tmp_path.rglob("*.nbc"))
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("n_bytes", [0, 30])
+def test_damaged_files_of_machine_code_are_written_again(suffix, n_bytes, tmp_path, monkeypatch):
+    """After a loss of power a file may be empty; each ping ended with an EOFError, until the user deleted it."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    assert kept_function()(1) == 2
+    (file,) = tmp_path.rglob(f"*.{suffix}")
+    file.write_bytes(file.read_bytes()[:n_bytes])
+    assert kept_function()(1) == 2
+    again = kept_function()
+    assert again(1) == 2 and sum(again.stats.cache_hits.values()) == 1
+
+
+def test_files_of_machine_code_that_stay_damaged_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    assert kept_function()(1) == 2
+    (file,) = tmp_path.rglob("*.nbi")
+    file.unlink()
+    file.mkdir()  # neither read nor replaced, as a file of another user may be
+    with pytest.raises(Error, match=f"kept in '{Path(file).parent}' must be readable .* delete that folder"):
+        kept_function()(1)
 
 
 def test_a_table_of_known_shape_lies_in_the_memory_of_its_array():
