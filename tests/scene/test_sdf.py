@@ -333,6 +333,24 @@ def test_heightmap_and_scaled_mesh_beside_the_file(tmp_path, read):
     assert box.mesh.volume == pytest.approx(6)
 
 
+def test_an_elevation_model_keeps_its_heights_and_needs_a_size(tmp_path, read):
+    """A world as of gz-sim's tutorial on elevation models: `<size>` z is maximum - minimum, `<pos>` z - maximum."""
+    import cv2
+
+    cv2.imwrite(str(tmp_path / "dem.tif"), np.array([[1213.5, 2000], [2000, 2695]], np.float32))
+    field = "<geometry><heightmap><uri>dem.tif</uri>{}<pos>0 0 -2695</pos></heightmap></geometry>"
+    sized = field.format("<size>3793 3563 1481.5</size>")
+    (body,) = read(model(link(shape=shape(RETRO, geometry=sized)))).bodies
+    np.testing.assert_allclose(body.mesh.bounds, [[-1896.5, -1781.5, -1481.5], [1896.5, 1781.5, 0]])
+    path = write(tmp_path / "b.sdf", model(link(shape=shape(RETRO, geometry=field.format("")))))
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: height maps without <size> are 1 m wide and long, which is SDF's default: "
+        "world/model[m]/link[link]/collision[c]/geometry/heightmap"
+    ]
+
+
 def test_a_glb_named_by_sdf_is_not_turned(tmp_path, read):
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.glb")
     shape = f"<collision name='c'><geometry><mesh><uri>box.glb</uri></mesh></geometry>{RETRO}</collision>"

@@ -140,6 +140,11 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     if tree.misplaced or reader.misspelt:
         names = some_names([text.removeprefix(f"{path}: ") for text in (*tree.misplaced, *reader.misspelt)])
         warn_caller(f"{path}: tags that SDF does not know there are left out: {names}")
+    if reader.unsized:
+        names = some_names([text.removeprefix(f"{path}: ") for text in reader.unsized])
+        warn_caller(
+            f"{path}: height maps without <size> are 1 m wide and long, which is SDF's default: {names}"
+        )
     if 0 < max(reader.retros, default=0) <= 1:
         got = some_names([f"{value:g}" for value in sorted(reader.retros)])
         warn_caller(
