@@ -494,6 +494,19 @@ def test_environment_names_folders_of_models(tmp_path, monkeypatch, key):
     assert [b.name for b in read_sdf(path).bodies] == ["rock"]
 
 
+@pytest.mark.parametrize("declared", ["", " xmlns:experimental='urn:any'"])
+def test_changes_of_included_models_are_left_out_with_a_warning(tmp_path, declared):
+    """SDF 1.8 moves, adds and removes links of an included model by them."""
+    add_model(tmp_path, "rock")
+    change = "<pose element_id='link' action='modify'>1 0 0 0 0 0</pose>"
+    params = f"<experimental:params{declared}>{change}</experimental:params>"
+    path = write(tmp_path / "a.sdf", f"<include><name>reef</name><uri>model://rock</uri>{params}</include>")
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    text = f"{path}: changes of included models by <experimental:params> are left out (reef)"
+    assert text in [str(w.message) for w in caught]
+
+
 def test_order_of_argument_environment_and_own_folder(tmp_path, monkeypatch, read):
     for folder in ("argument", "environment", "."):
         add_model(tmp_path / folder, "rock", model(link(), folder.replace(".", "own")))
