@@ -22,12 +22,16 @@ ROUNDING = 1e-12  # of a few products of float64 matrices
 BOX = "<geometry><box><size>2 4 6</size></box></geometry>"
 RETRO = "<laser_retro>255</laser_retro>"
 SHAPE = f"<collision name='c'>{BOX}{RETRO}</collision>"
+GAZEBO_PATHS = (
+    *("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH"),
+    *("GAZEBO_MODEL_PATH", "GAZEBO_RESOURCE_PATH"),
+)
 
 
 @pytest.fixture(autouse=True)
 def no_environment(monkeypatch, tmp_path):
-    monkeypatch.delenv("GZ_SIM_RESOURCE_PATH", raising=False)
-    monkeypatch.delenv("GAZEBO_MODEL_PATH", raising=False)
+    for key in GAZEBO_PATHS:
+        monkeypatch.delenv(key, raising=False)
     monkeypatch.setenv("GZ_FUEL_CACHE_PATH", str(tmp_path / "gz"))
     monkeypatch.setenv("IGN_FUEL_CACHE_PATH", str(tmp_path / "ign"))
 
@@ -486,7 +490,7 @@ def test_include_by_model_config_newest_version_name_and_pose(tmp_path, read):
     np.testing.assert_array_equal(scene.bodies[1].pose, pose(2, 0, 0))
 
 
-@pytest.mark.parametrize("key", ["GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH"])
+@pytest.mark.parametrize("key", GAZEBO_PATHS)
 def test_environment_names_folders_of_models(tmp_path, monkeypatch, key):
     add_model(tmp_path / "b", "rock")
     monkeypatch.setenv(key, f"{tmp_path / 'a'}{os.pathsep}{tmp_path / 'b'}")
