@@ -16,7 +16,7 @@ from sonar_gl.scene.sdf.frames import Frame, Scope
 from sonar_gl.scene.sdf.links import Link, links_of, models_of
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING, Resources
 from sonar_gl.scene.sdf.saved_state import apply_state
-from sonar_gl.scene.sdf.sensors import SensorOfLink, find_sonars, read_sensor
+from sonar_gl.scene.sdf.sensors import SensorOfLink, find_sonars, ray_sensors_of, read_sensor
 from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes, left_out_shapes
 from sonar_gl.scene.sdf.urdf import model_of
 from sonar_gl.scene.sdf.water import is_mark, is_water
@@ -114,6 +114,11 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     if height_m is not None and not surface:
         surface = {"surface_z_m": height_m}
         said.append(f"the water's surface is taken from its shape, z = {height_m:g} m")
+    if not sonars and (rays := ray_sensors_of(links)):
+        said.append(
+            f"no sensor is named after a sonar; if a ray sensor stands for one ({some_names(rays)}), write 'sonar' "
+            "into its name, and its place and settings are taken"
+        )
     if tree.changed:
         said.append(
             f"changes of included models by <experimental:params> are left out ({some_names(tree.changed)})"
