@@ -97,7 +97,9 @@ def ray_sensors_of(links) -> list[str]:
         for link in links
         for sensor in link.element.findall("sensor")
         if (sensor.get("type") or "").strip() in RAY_SENSORS
-        and not any(word in (sensor.get("name") or "").lower() for word in OTHER_SONARS)
+        and not any(
+            word in f"{sensor.get('name') or ''} {link.model or link.name}".lower() for word in OTHER_SONARS
+        )
     ]
 
 
