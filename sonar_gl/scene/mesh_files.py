@@ -24,6 +24,8 @@ from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, t
 
 # What positions may be rounded by before there is a warning, metres: about the finest bins of an imaging sonar
 MAX_STEP_M = 0.01
+ELEVATION_SUFFIXES = (".tif", ".tiff")  # of height maps whose values are metres
+NO_HEIGHT_M = -9999.0  # stands for a gap in such a file, and so does less, as for Gazebo
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
 # of text that is read in double precision: that single precision holds it, too, as whole metres, says nothing
 DECIMAL_SUFFIXES = (".obj",)
@@ -47,10 +49,10 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
 
     Parameters
     ----------
-    path : 8 or 16 bit PNG, whose values are divided by the largest, as by Gazebo, or float TIFF, whose values are used
-        unscaled
-    size : x, y extent of the terrain, metres, and factor of the values
-    pos : centre of the terrain, metres; height = pos z + value · size z
+    path : 8 or 16 bit PNG, whose values are divided by the largest, or TIFF, whose values are heights, metres
+    size : x, y extent of the terrain, metres; z is the factor of a PNG's values, and of a TIFF the height from
+        its lowest to its highest value, or 1 for heights as they are
+    pos : centre of the terrain, metres; its z is added to all heights
 
     Raises
     ------
@@ -60,20 +62,37 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
     Notes
     -----
     Convention: the top row of the image is +y, its left column −x; the outer pixels lie on the edges of
-    `size`.
+    `size`. Both kinds of image are read as by Gazebo, for which a TIFF is an elevation model.
     """
     image = read_image_file(path, "a height map", "8 or 16 bit PNG, float TIFF")
-    is_whole = image.dtype.kind == "u"
+    is_elevation = image.dtype.kind != "u" or Path(path).suffix.lower() in ELEVATION_SUFFIXES
     if image.ndim == 3:
         image = image[:, :, :3].mean(axis=2)
-    if is_whole:
-        image = image / (image.max() or 1)
     rows, columns = image.shape
     if min(rows, columns) < 2:
         raise Error(f"{path}: a height map must have 2 x 2 pixels or more (got {columns} x {rows})")
     if not np.isfinite(image).all():
         raise Error(f"{path}: heights must be finite (got NaN or infinity; fill the gaps first)")
-    return terrain(image * size[2], size, pos)
+    heights = _elevations(path, image, size[2]) if is_elevation else image / (image.max() or 1) * size[2]
+    return terrain(heights, size, pos)
+
+
+def _elevations(path, values: np.ndarray, size_z_m: float) -> np.ndarray:
+    """Return the heights of an elevation model, (R, C) metres, of a `<size>` whose z is size_z_m; warn of gaps."""
+    values = values.astype(np.float64)
+    gaps = values <= NO_HEIGHT_M
+    if gaps.all():
+        raise Error(f"{path}: heights must be more than {NO_HEIGHT_M:g} m (got none; fill the gaps first)")
+    low_m, high_m = values[~gaps].min(), values.max()
+    if gaps.any():
+        warn_caller(
+            f"{path}: heights of {NO_HEIGHT_M:g} m or less ({gaps.sum()} of {gaps.size}) stand for gaps, and are taken "
+            f"as the lowest other one, {low_m:g} m"
+        )
+        values[gaps] = low_m
+    if size_z_m == 1 or low_m == high_m:
+        return values
+    return low_m + (values - low_m) * (size_z_m / (high_m - low_m))
 
 
 def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:

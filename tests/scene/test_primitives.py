@@ -150,7 +150,7 @@ def test_heightmap_top_row_is_north_and_left_column_west(tmp_path):
         ("png", np.array([[40000, 10000], [0, 20000]], np.uint16), [3.0, 0.75, 0.0, 1.5]),
         ("png", np.full((2, 2, 3), 51, np.uint8), [3.0] * 4),
         ("png", np.zeros((2, 2), np.uint8), [0.0] * 4),
-        ("tiff", np.full((2, 2), -1.25, np.float32), [-1.25 * 3] * 4),
+        ("tiff", np.full((2, 2), -1.25, np.float32), [-1.25] * 4),
     ],
 )
 def test_heightmap_scales_by_the_largest_value_as_gazebo_does(tmp_path, suffix, image, expected):
@@ -158,6 +158,32 @@ def test_heightmap_scales_by_the_largest_value_as_gazebo_does(tmp_path, suffix, 
     cv2.imwrite(str(tmp_path / f"h.{suffix}"), image)
     mesh, _ = mesh_files.heightmap(tmp_path / f"h.{suffix}", (1.0, 1.0, 3.0))
     np.testing.assert_allclose(mesh.vertices[:, 2], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int16, np.uint16])
+@pytest.mark.parametrize(
+    ("size_z", "expected"), [(1.0, [1200, 1300, 1400, 1600]), (400.0, [1200, 1300, 1400, 1600]), (40.0, None)]
+)
+def test_a_tiff_is_an_elevation_model_whose_size_is_its_own_extent(tmp_path, dtype, size_z, expected):
+    """Dem::FillHeightMap of gz-common; gz-sim's tutorial sets the z of `<size>` to maximum - minimum."""
+    path = tmp_path / "dem.tif"
+    cv2.imwrite(str(path), np.array([[1200, 1300], [1400, 1600]]).astype(dtype))
+    mesh, _ = mesh_files.heightmap(path, (9.0, 9.0, size_z), (0.0, 0.0, -1600.0))
+    expected = expected or [1200, 1210, 1220, 1240]
+    np.testing.assert_allclose(mesh.vertices[:, 2], np.array(expected) - 1600.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("gap", [-9999.0, -32768.0])
+def test_gaps_of_an_elevation_model_are_at_its_lowest_height(tmp_path, gap):
+    path = tmp_path / "dem.tif"
+    cv2.imwrite(str(path), np.array([[-30, gap], [-20, -10]], np.float32))
+    with pytest.warns(UserWarning, match=r"heights of -9999 m or less \(1 of 4\) stand for gaps"):
+        mesh, _ = mesh_files.heightmap(path, (9.0, 9.0, 20.0))
+    np.testing.assert_allclose(mesh.vertices[:, 2], [-30, -30, -20, -10], rtol=1e-12)
+    cv2.imwrite(str(path), np.full((2, 2), gap, np.float32))
+    assert error_of(mesh_files.heightmap, path) == (
+        f"{path}: heights must be more than -9999 m (got none; fill the gaps first)"
+    )
 
 
 def test_heightmap_errors(tmp_path):

@@ -22,12 +22,16 @@ ROUNDING = 1e-12  # of a few products of float64 matrices
 BOX = "<geometry><box><size>2 4 6</size></box></geometry>"
 RETRO = "<laser_retro>255</laser_retro>"
 SHAPE = f"<collision name='c'>{BOX}{RETRO}</collision>"
+GAZEBO_PATHS = (
+    *("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH"),
+    *("GAZEBO_MODEL_PATH", "GAZEBO_RESOURCE_PATH"),
+)
 
 
 @pytest.fixture(autouse=True)
 def no_environment(monkeypatch, tmp_path):
-    monkeypatch.delenv("GZ_SIM_RESOURCE_PATH", raising=False)
-    monkeypatch.delenv("GAZEBO_MODEL_PATH", raising=False)
+    for key in GAZEBO_PATHS:
+        monkeypatch.delenv(key, raising=False)
     monkeypatch.setenv("GZ_FUEL_CACHE_PATH", str(tmp_path / "gz"))
     monkeypatch.setenv("IGN_FUEL_CACHE_PATH", str(tmp_path / "ign"))
 
@@ -333,6 +337,24 @@ def test_heightmap_and_scaled_mesh_beside_the_file(tmp_path, read):
     assert box.mesh.volume == pytest.approx(6)
 
 
+def test_an_elevation_model_keeps_its_heights_and_needs_a_size(tmp_path, read):
+    """A world as of gz-sim's tutorial on elevation models: `<size>` z is maximum - minimum, `<pos>` z - maximum."""
+    import cv2
+
+    cv2.imwrite(str(tmp_path / "dem.tif"), np.array([[1213.5, 2000], [2000, 2695]], np.float32))
+    field = "<geometry><heightmap><uri>dem.tif</uri>{}<pos>0 0 -2695</pos></heightmap></geometry>"
+    sized = field.format("<size>3793 3563 1481.5</size>")
+    (body,) = read(model(link(shape=shape(RETRO, geometry=sized)))).bodies
+    np.testing.assert_allclose(body.mesh.bounds, [[-1896.5, -1781.5, -1481.5], [1896.5, 1781.5, 0]])
+    path = write(tmp_path / "b.sdf", model(link(shape=shape(RETRO, geometry=field.format("")))))
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: height maps without <size> are 1 m wide and long, which is SDF's default: "
+        "world/model[m]/link[link]/collision[c]/geometry/heightmap"
+    ]
+
+
 def test_a_glb_named_by_sdf_is_not_turned(tmp_path, read):
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.glb")
     shape = f"<collision name='c'><geometry><mesh><uri>box.glb</uri></mesh></geometry>{RETRO}</collision>"
@@ -468,12 +490,25 @@ def test_include_by_model_config_newest_version_name_and_pose(tmp_path, read):
     np.testing.assert_array_equal(scene.bodies[1].pose, pose(2, 0, 0))
 
 
-@pytest.mark.parametrize("key", ["GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH"])
+@pytest.mark.parametrize("key", GAZEBO_PATHS)
 def test_environment_names_folders_of_models(tmp_path, monkeypatch, key):
     add_model(tmp_path / "b", "rock")
     monkeypatch.setenv(key, f"{tmp_path / 'a'}{os.pathsep}{tmp_path / 'b'}")
     path = write(tmp_path / "worlds" / "a.sdf", "<include><uri>model://rock</uri></include>")
     assert [b.name for b in read_sdf(path).bodies] == ["rock"]
+
+
+@pytest.mark.parametrize("declared", ["", " xmlns:experimental='urn:any'"])
+def test_changes_of_included_models_are_left_out_with_a_warning(tmp_path, declared):
+    """SDF 1.8 moves, adds and removes links of an included model by them."""
+    add_model(tmp_path, "rock")
+    change = "<pose element_id='link' action='modify'>1 0 0 0 0 0</pose>"
+    params = f"<experimental:params{declared}>{change}</experimental:params>"
+    path = write(tmp_path / "a.sdf", f"<include><name>reef</name><uri>model://rock</uri>{params}</include>")
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    text = f"{path}: changes of included models by <experimental:params> are left out (reef)"
+    assert text in [str(w.message) for w in caught]
 
 
 def test_order_of_argument_environment_and_own_folder(tmp_path, monkeypatch, read):

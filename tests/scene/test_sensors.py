@@ -54,6 +54,19 @@ def read(tmp_path):
     return read
 
 
+def test_ray_sensors_by_which_a_sonar_may_be_meant_are_named(read):
+    """Many worlds simulate their sonar by a laser that keeps the name of a laser."""
+    laser = scan(angles(-45, 45, 180))
+    scene, texts = read(sensor(laser, "gpu_lidar", "gpu_lidar"), sensor(laser, "altimeter"))
+    assert scene.sonar_pose is None
+    assert texts == [
+        "no sensor is named after a sonar; if a ray sensor stands for one (rov/sensor[gpu_lidar]), write 'sonar' "
+        "into its name, and its place and settings are taken"
+    ]
+    scene, texts = read(sensor(laser, "gpu_lidar", "gpu_lidar"), sensor(laser))
+    assert scene.sensors[0].name == "front_sonar" and not texts
+
+
 def test_a_ray_sensor_states_fan_beams_range_and_bins(read):
     text = scan(angles(-45, 45, 180), angles(-7.5, 7.5, 30)) + "<update_rate>12</update_rate>"
     scene, texts = read(sensor(text))

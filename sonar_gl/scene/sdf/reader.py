@@ -16,7 +16,7 @@ from sonar_gl.scene.sdf.frames import Frame, Scope
 from sonar_gl.scene.sdf.links import Link, links_of, models_of
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING, Resources
 from sonar_gl.scene.sdf.saved_state import apply_state
-from sonar_gl.scene.sdf.sensors import SensorOfLink, find_sonars, read_sensor
+from sonar_gl.scene.sdf.sensors import SensorOfLink, find_sonars, ray_sensors_of, read_sensor
 from sonar_gl.scene.sdf.shapes import MAX_RETRO, BodyReader, echoing_shapes, left_out_shapes
 from sonar_gl.scene.sdf.urdf import model_of
 from sonar_gl.scene.sdf.water import is_mark, is_water
@@ -27,6 +27,7 @@ MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
 # of a model or link: it would stand at the origin without a word
 NO_POSES = "pos", "Pose", "position", "origin"
+CHANGES_OF_INCLUDED = "}params", "experimental:params"  # in an include, whether the prefix is declared or not
 NOT_READ = "actor", "population", "road"  # in a world
 OTHER_ROOTS = {  # what a file of this root element is, and what to do with it
     "COLLADA": "this is a mesh: name it .dae",
@@ -113,6 +114,15 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     if height_m is not None and not surface:
         surface = {"surface_z_m": height_m}
         said.append(f"the water's surface is taken from its shape, z = {height_m:g} m")
+    if not sonars and (rays := ray_sensors_of(links)):
+        said.append(
+            f"no sensor is named after a sonar; if a ray sensor stands for one ({some_names(rays)}), write 'sonar' "
+            "into its name, and its place and settings are taken"
+        )
+    if tree.changed:
+        said.append(
+            f"changes of included models by <experimental:params> are left out ({some_names(tree.changed)})"
+        )
     if tree.left_out:
         said.append(f"actors, populations and roads are left out ({some_names(tree.left_out)})")
     said += [moved] if moved else []
@@ -140,6 +150,11 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     if tree.misplaced or reader.misspelt:
         names = some_names([text.removeprefix(f"{path}: ") for text in (*tree.misplaced, *reader.misspelt)])
         warn_caller(f"{path}: tags that SDF does not know there are left out: {names}")
+    if reader.unsized:
+        names = some_names([text.removeprefix(f"{path}: ") for text in reader.unsized])
+        warn_caller(
+            f"{path}: height maps without <size> are 1 m wide and long, which is SDF's default: {names}"
+        )
     if 0 < max(reader.retros, default=0) <= 1:
         got = some_names([f"{value:g}" for value in sorted(reader.retros)])
         warn_caller(
@@ -244,11 +259,12 @@ class TreeReader:
     Attributes
     ----------
     left_out : kinds and names of what Gazebo shows, and is not read
+    changed : names of included models whose elements the scene changes, which is not read
     misplaced : what to say of shapes out of links, and of tags that mean a pose and are none
     """
 
     def __init__(self, resources: Resources):
-        self.resources, self.left_out, self.misplaced = resources, [], []
+        self.resources, self.left_out, self.changed, self.misplaced = resources, [], [], []
         self._n_models = 0
 
     def fill(self, scope: Scope, element, stack: tuple) -> None:
@@ -328,6 +344,8 @@ class TreeReader:
             self.left_out += [f"actor {(one.get('name') or '').strip()}" for one in root.findall("actor")]
             return
         name = name or (model.get("name") or "").strip()
+        if any(str(child.tag).endswith(CHANGES_OF_INCLUDED) for child in element):
+            self.changed.append(name)
         model_location = f"{path}: model[{name}]"
         pose_element, pose_location = element.find("pose"), location
         if pose_element is None:

@@ -29,7 +29,10 @@ BUILT_IN = {  # models that come with Gazebo, so that worlds name them without t
     "<geometry><plane/></geometry></collision></link></model></sdf>",
 }
 
-SEARCH_PATHS = "GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "ROS_PACKAGE_PATH"
+SEARCH_PATHS = (  # of gz-sim, of Gazebo when it was Ignition, of sdformat, of Gazebo Classic, of ROS 1
+    *("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH"),
+    *("GAZEBO_MODEL_PATH", "GAZEBO_RESOURCE_PATH", "ROS_PACKAGE_PATH"),
+)
 PACKAGE_FILE = "package.xml"
 FUEL_URI = r"https?://([^/]+)/(?:[0-9.]+/)?([^/]+)/models/([^/]+)(?:/([0-9]+|tip))?(?:/files/(.+))?/?"
 FUEL_CACHES = {  # environment variable: where the cache is without it

@@ -20,7 +20,8 @@ from sonar_gl.sonar.sonar import Sonar, load_sonar
 OTHER_SONARS = ("dvl", "altimeter")  # which make no images
 # Types of sensor that Gazebo's users simulate sonars with. In a model that is named after a sonar only these
 # are taken for one: the model may hold an IMU as well.
-IMAGING_SENSORS = {"camera", "depth", "depth_camera", "rgbd_camera", "ray", "gpu_ray", "lidar", "gpu_lidar"}
+RAY_SENSORS = {"ray", "gpu_ray", "lidar", "gpu_lidar"}
+IMAGING_SENSORS = {"camera", "depth", "depth_camera", "rgbd_camera", *RAY_SENSORS}
 PLUGIN_SOUND_SPEED_M_S = 1500.0  # of DAVE's plugins, where a sensor states none
 MAX_BEAMS, MAX_CELLS = 4096, 2**25  # beams, and beams x bins; more is no sonar, and takes gigabytes
 BOUNDS = {  # of what tags state, as for `Sonar`
@@ -87,6 +88,19 @@ def find_sonars(links) -> list[SensorOfLink]:
                 continue
             found.append((rank, len(found), SensorOfLink(link, sensor)))
     return [sensor for _, _, sensor in sorted(found, key=lambda candidate: candidate[:2])]
+
+
+def ray_sensors_of(links) -> list[str]:
+    """Return the names of ray sensors, with their models': they may stand for sonars without being named so."""
+    return [
+        f"{link.model or link.name}/sensor[{sensor.get('name') or ''}]"
+        for link in links
+        for sensor in link.element.findall("sensor")
+        if (sensor.get("type") or "").strip() in RAY_SENSORS
+        and not any(
+            word in f"{sensor.get('name') or ''} {link.model or link.name}".lower() for word in OTHER_SONARS
+        )
+    ]
 
 
 def _custom_kind(sensor) -> str:

@@ -146,12 +146,14 @@ class BodyReader:
     saturated : the same of shapes whose laser_retro is more than MAX_RETRO
     retros : the values of laser_retro that shapes state, and that no image overrides
     misspelt : what to say of tags of shapes that are none, but similar to one that is absent
+    unsized : locations of height maps without `<size>`, of which SDF's default is 1 m x 1 m
     """
 
     def __init__(self, resources: Resources):
         self.resources = resources
         self.unspecified, self.saturated, self.retros = {}, {}, set()
         self.misspelt: list[str] = []
+        self.unsized: list[str] = []
         self._meshes = {}
 
     def read(self, link: Link, name: str) -> list[Body]:
@@ -274,7 +276,10 @@ class BodyReader:
             return None
         if shape.tag == "heightmap":
             size, pos = get("size", 3, (1.0, 1.0, 1.0)), get("pos", 3, (0.0, 0.0, 0.0), positive=False)
-            return self._read_file(location, lambda: mesh_files.heightmap(path, size, pos))
+            terrain = self._read_file(location, lambda: mesh_files.heightmap(path, size, pos))
+            if terrain is not None and shape.find("size") is None and location not in self.unsized:
+                self.unsized.append(location)
+            return terrain
         scale = get("scale", 3, (1.0, 1.0, 1.0), positive=False)
         if not np.all(scale):
             raise Error(f"{location}/scale: must not be zero (got {shape.findtext('scale').strip()!r})")
