@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 import warnings
@@ -46,6 +47,7 @@ STILLS = ("png", "npz")
 WRITERS = 2  # threads: writing a PNG takes longer than a frame, and compression releases the GIL
 NEARLY_EMPTY = 0.01  # share of bright cells
 OVER_NOISE = 8.0  # times its mean power, which noise exceeds in e^-8 of all cells, fewer than NEARLY_EMPTY
+FALSE_ECHOES = 0.01  # a ping, of noise that is taken for the strongest echo
 VISIBLE_SHARE = 0.05  # of full scale: brightness that one tells from black
 CLEARLY_BRIGHT_SHARE = 1 / 3  # of full scale: an echo as bright as this is easy to see
 
@@ -158,8 +160,12 @@ class BackgroundCalls:
 
 
 class Echo(NamedTuple):
-    """The strongest echo of a ping: its intensity, what and where it is, and the number of the ping."""
+    """The strongest echo of a ping: whether it is above the noise, its intensity, what and where it is, and the ping.
 
+    Where no echo is above the noise, the intensity is that of the noise.
+    """
+
+    is_above_noise: bool
     intensity: float
     text: str
     number: int
@@ -297,9 +303,9 @@ class FrameWriter:
 
     def _note(self, ping: Ping, number: int):
         """Remember the strongest echo of all pings."""
-        intensity, text = self._strongest_echo(ping)
-        if self._strongest is None or intensity > self._strongest.intensity:
-            self._strongest = Echo(intensity, text, number)
+        found = self._strongest_echo(ping, number)
+        if self._strongest is None or found[:2] > self._strongest[:2]:
+            self._strongest = found
 
     def _is_bright(self, ping: Ping, picture: np.ndarray) -> np.ndarray:
         """Return which bins, or pixels of the founding paper's picture, which has an echo of its own, can be seen."""
@@ -313,21 +319,27 @@ class FrameWriter:
         """Remember the largest share of bright cells, or pixels."""
         self._bright_share = max(self._bright_share or 0.0, np.count_nonzero(bright) / bright.size)
 
-    def _strongest_echo(self, ping: Ping) -> tuple[float, str]:
-        """Return the intensity of the strongest echo, and what and where it is."""
+    def _strongest_echo(self, ping: Ping, number: int) -> Echo:
+        """Return the strongest echo, or that there is none, or none above the noise, which rises with range."""
         if not ping.meta["has_echo"]:  # the intensity is noise
-            return 0.0, "no echo"
+            return Echo(False, 0.0, "no echo", number)
         intensity = ping.intensity
         if self.noise.salt_and_pepper:
             intensity = np.where(intensity == 1.0, 0.0, intensity)  # grains of salt
+        most = float(intensity.max())
+        if most <= 0:
+            return Echo(False, 0.0, "no echo", number)
+        power = receiver_power(ping, self.noise)
+        if power is not None:  # of an exponential distribution
+            intensity = np.where(intensity > math.log(intensity.size / FALSE_ECHOES) * power, intensity, 0.0)
         beam, bin_ = np.unravel_index(intensity.argmax(), intensity.shape)
         strongest = float(intensity[beam, bin_])
         if strongest <= 0:
-            return 0.0, "no echo"
+            return Echo(False, most, "no echo above the noise", number)
         azimuth_deg = float(np.degrees(ping.azimuth_rad[beam]))
         side = "port" if azimuth_deg > 0 else "starboard"
         text = f"strongest echo {10 * np.log10(strongest):.1f} dB at {ping.range_m[bin_]:.2f} m, "
         text += f"{abs(azimuth_deg):.1f} deg to {side}"
         if ping.body_id is not None and ping.body_id[beam, bin_]:
             text += f", of {self.simulator.scene.bodies[ping.body_id[beam, bin_] - 1].name!r}"
-        return strongest, text
+        return Echo(True, strongest, text, number)

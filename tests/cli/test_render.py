@@ -210,6 +210,18 @@ def test_a_picture_that_shows_almost_nothing_says_what_to_change():
     )
 
 
+def test_noise_is_not_the_strongest_echo():
+    """It rises with range, by the TVG, above any echo."""
+    loud = "small.toml,self_noise_db=-30"
+    view = ("--noise", "self_noise=yes", "--tolerance", 0.05, "--format", "npz")
+    status, out, _ = run("render", "tank.sdf", "--sonar", loud, "--range", 60, *view)
+    found = re.search(r"strongest echo .* at (\d+\.\d+) m", out)
+    assert status == 0 and sg.load_npz("tank.npz").intensity[:, -10:].max() > 1  # the noise
+    assert float(found[1]) < 8
+    out = run("render", "tank.sdf", "--sonar", "small.toml,self_noise_db=20", *view)[1]
+    assert ", no echo above the noise; " in out
+
+
 def test_noise_does_not_fill_an_empty_picture():
     """It is as bright as an echo, but not the picture of one."""
     Path("box.sdf").write_text(BOX_ONLY)
