@@ -32,11 +32,8 @@ except ImportError:  # on Windows
     import msvcrt
 
 LOCK, UNFINISHED = ".lock", ".begun"  # the latter is a folder of files that are being written
-NO_LOCKS = (
-    errno.ENOSYS,
-    errno.ENOLCK,
-    errno.EOPNOTSUPP,
-)  # of file systems that lock no files, as Lustre may be mounted
+# of file systems that lock no files, as Lustre may be mounted
+NO_LOCKS = errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP
 CHECKSUM_KEY = "sha256"  # of a record: that of its other keys
 
 
