@@ -53,6 +53,17 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
     return out
 
 
+class ArraysStayReadOnly:
+    """A class whose arrays `frozen_array` made, in copies and pickles, too: NumPy makes those of both writable."""
+
+    def __setstate__(self, state: dict):
+        for value in state.values():
+            for array in value.values() if isinstance(value, dict) else (value,):
+                if isinstance(array, np.ndarray):
+                    array.setflags(write=False)
+        self.__dict__.update(state)
+
+
 def _other_contents(array: np.ndarray) -> str | None:
     """Return what an array holds in place of numbers, though NumPy would make some of it; None if it holds numbers.
 

@@ -7,7 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.core.checks import check_fields, check_kind, check_whole_number, make_numbers_plain
+from sonar_gl.core.checks import (
+    ArraysStayReadOnly,
+    check_fields,
+    check_kind,
+    check_whole_number,
+    make_numbers_plain,
+)
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 
@@ -30,7 +36,7 @@ BOUNDS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Bubbles:
+class Bubbles(ArraysStayReadOnly):
     """A plume of bubbles that rise from one place. The defaults are a diver who exhales 20 litres a minute.
 
     Parameters

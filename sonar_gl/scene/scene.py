@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind, check_number, frozen_array
+from sonar_gl.core.checks import ArraysStayReadOnly, check_kind, check_number, frozen_array
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.names import matching_names
 from sonar_gl.core.poses import check_pose
@@ -47,7 +47,7 @@ class _LazyMesh:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Body(ArraysStayReadOnly):
     """A rigid body.
 
     Parameters
@@ -188,7 +188,7 @@ def body_at(name: str, shape: Shape, world_from_body) -> Body:
     return Body(name, shape.mesh, pose, normals=shape.normals)
 
 
-class Scene:
+class Scene(ArraysStayReadOnly):
     """Bodies, bubble plumes, the water's surface, and the pose of the sonar if the scene's file has one.
 
     A scene does not change: methods return another one, and simulators place and add bodies on their own.

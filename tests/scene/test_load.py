@@ -478,6 +478,19 @@ def test_textures_that_are_missing_give_no_log(tmp_path, caplog):
     assert len(body.surface.faces) == 1 and caplog.text == ""
 
 
+def test_arrays_of_copies_are_read_only_as_those_of_scenes_are():
+    """A simulator would not notice what is written into them."""
+    box, plume = trimesh.creation.box((1, 1, 1)), sg.Bubbles("plume")
+    scene = Scene(
+        [sg.Body("wall", box, reflectivity=np.full(12, 0.5)), plume], pose(), models={"wall": pose(x=1)}
+    )
+    for again in (scene, copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
+        (body,), (bubbles,) = again.bodies, again.plumes
+        for array in (body.pose, body.reflectivity, bubbles.pose, again.sonar_pose, again.models["wall"]):
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0
+
+
 @pytest.mark.parametrize("name", ["surface_z_m", "sonar_pose", "bodies", "plumes", "models", "bodys"])
 def test_a_scene_is_not_changed(name):
     """Values that are set later would pass without the checks of the constructor, and simulators would not notice."""
