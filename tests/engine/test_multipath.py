@@ -429,6 +429,16 @@ def test_planes_of_a_mesh_in_utm_are_those_at_the_origin():
     )  # metres and square metres; float64 there has 1e-9 m
 
 
+def test_a_finely_meshed_plane_is_one_beside_larger_faces():
+    """The largest face, of the box, is too small for a reflector; the wall's are smaller still."""
+    wall = trimesh.creation.box((0.1, 10, 10)).subdivide_to_size(0.6, max_iter=20)
+    block = trimesh.creation.box((0.8, 0.8, 0.8)).apply_translation((3, 0, 0))
+    assert block.area_faces.max() > wall.area_faces.max()
+    planes = find_planes(trimesh.util.concatenate([wall, block]))
+    assert [area_m2 for _, _, area_m2 in planes] == pytest.approx([100, 100])
+    assert sorted(offset for _, offset, _ in planes) == pytest.approx([0.05, 0.05])
+
+
 def test_curved_bodies_and_terrain_are_not_reflectors():
     assert find_planes(ball(0, 0, 0, 5.0).surface) == []
     rough = trimesh.creation.box((10, 10, 1)).subdivide().subdivide().subdivide()
