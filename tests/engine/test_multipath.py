@@ -353,6 +353,13 @@ def test_a_tank_has_its_walls_as_planar_reflectors():
     assert sorted(normals) == [-1, 1]
 
 
+def test_a_specular_body_without_a_material_reflects_alike_at_all_angles():
+    """Its `specular` is |R|² of what is reflected coherently, so that no roughness reduces it further."""
+    mesh = trimesh.creation.box((2, 3, 4))
+    (first, *_) = planar_reflectors(sg.Scene([sg.Body("plate", mesh, specular=0.4)]), 3770.0)
+    np.testing.assert_array_equal(first.reflection_coefficient, 0.4)
+
+
 def test_planes_turn_with_their_body():
     """Each of a box's planes holds four of its corners in the world, and the others lie below."""
     rng = np.random.default_rng(5)
