@@ -104,17 +104,30 @@ def find_planes(surface) -> list[tuple[np.ndarray, float, float]]:
     valid = area > 0
     normals, area, a = normals[valid] / (2 * area[valid, None]), area[valid], a[valid]
     offsets, out = (normals * a).sum(axis=1), []
+    enough_m2 = max(MIN_AREA_M2, MIN_AREA_SHARE * area.sum())
+    tolerance_m = COPLANAR * (1 + np.abs(a).max(initial=0.0))
+    # The largest face need not lie in the largest plane, as where a wall is meshed finely. Cells twice as wide as the
+    # tolerances part a plane among 16 of them at most, so that one of these has this share of its area.
+    cells = np.rint(np.column_stack([normals / COPLANAR, offsets / tolerance_m]) / 2).astype(np.int64)
+    _, cell = np.unique(cells, axis=0, return_inverse=True)
+    cell = cell.ravel()  # some releases of NumPy return a column
+    cell_area = np.bincount(cell, area)
     remaining = np.ones(len(area), bool)
-    while remaining.any() and len(out) < MAX_PLANES:
-        first = np.flatnonzero(remaining)[area[remaining].argmax()]
+    for number in np.argsort(-cell_area, kind="stable"):
+        if cell_area[number] < enough_m2 / 16:
+            break  # all other cells are smaller still
+        members = np.flatnonzero(remaining & (cell == number))
+        if not members.size:
+            continue
+        first = members[area[members].argmax()]
         normal, offset = normals[first], offsets[first]
-        tolerance_m = COPLANAR * (1 + np.abs(a).max())
         coplanar = remaining & (normals @ normal > 1 - COPLANAR**2) & (np.abs(offsets - offset) < tolerance_m)
-        remaining &= ~coplanar
-        if area[coplanar].sum() < max(MIN_AREA_M2, MIN_AREA_SHARE * area.sum()):
-            break  # the largest of the remaining faces is smaller still
-        out.append((normal, float(offset + normal @ middle), float(area[coplanar].sum())))
-    return out
+        area_m2 = float(area[coplanar].sum())
+        if area_m2 >= enough_m2:
+            remaining &= ~coplanar
+            out.append((normal, float(offset + normal @ middle), area_m2))
+    out.sort(key=lambda plane: -plane[2])
+    return out[:MAX_PLANES]
 
 
 def planar_reflectors(

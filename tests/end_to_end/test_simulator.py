@@ -557,6 +557,10 @@ NAN[0, 3] = np.nan
             "body 'b': faces must name vertices 0..2 (got -1)",
         ),
         (
+            lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, 3]]))),
+            "body 'b': faces must name vertices 0..2 (got 3)",
+        ),
+        (
             lambda: sg.Body(None, BOX.mesh),
             'the name of a body must be a str (got NoneType; such as "diver")',
         ),

@@ -353,6 +353,13 @@ def test_a_tank_has_its_walls_as_planar_reflectors():
     assert sorted(normals) == [-1, 1]
 
 
+def test_a_specular_body_without_a_material_reflects_alike_at_all_angles():
+    """Its `specular` is |R|² of what is reflected coherently, so that no roughness reduces it further."""
+    mesh = trimesh.creation.box((2, 3, 4))
+    (first, *_) = planar_reflectors(sg.Scene([sg.Body("plate", mesh, specular=0.4)]), 3770.0)
+    np.testing.assert_array_equal(first.reflection_coefficient, 0.4)
+
+
 def test_planes_turn_with_their_body():
     """Each of a box's planes holds four of its corners in the world, and the others lie below."""
     rng = np.random.default_rng(5)
@@ -427,6 +434,16 @@ def test_planes_of_a_mesh_in_utm_are_those_at_the_origin():
     np.testing.assert_allclose(
         found, expected, atol=1e-5
     )  # metres and square metres; float64 there has 1e-9 m
+
+
+def test_a_finely_meshed_plane_is_one_beside_larger_faces():
+    """The largest face, of the box, is too small for a reflector; the wall's are smaller still."""
+    wall = trimesh.creation.box((0.1, 10, 10)).subdivide_to_size(0.6, max_iter=20)
+    block = trimesh.creation.box((0.8, 0.8, 0.8)).apply_translation((3, 0, 0))
+    assert block.area_faces.max() > wall.area_faces.max()
+    planes = find_planes(trimesh.util.concatenate([wall, block]))
+    assert [area_m2 for _, _, area_m2 in planes] == pytest.approx([100, 100])
+    assert sorted(offset for _, offset, _ in planes) == pytest.approx([0.05, 0.05])
 
 
 def test_curved_bodies_and_terrain_are_not_reflectors():

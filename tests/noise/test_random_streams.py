@@ -3,7 +3,10 @@
 import pytest
 
 from sonar_gl.core.errors import Error
+from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.random_streams import STREAMS, stream
+from sonar_gl.noise.settings import Noise
+from tests.support.even_ping import even_ping
 
 
 def test_stream_numbers_never_change():
@@ -16,6 +19,25 @@ def test_stream_numbers_never_change():
 def test_first_numbers_of_streams_never_change():
     assert stream(0, 0, "speckle").bit_generator.random_raw() == 3503594916310552525
     assert stream(7, 3, "texture", 1, 2).bit_generator.random_raw() == 11501054001911140744
+
+
+def test_each_term_of_a_ping_has_the_stream_of_its_seed_and_number(monkeypatch):
+    keys = set()
+
+    def noted(seed, ping_number, term, *further):
+        keys.add((seed, ping_number, term))
+        return stream(seed, ping_number, term, *further)
+
+    monkeypatch.setattr("sonar_gl.noise.field.stream", noted)
+    monkeypatch.setattr("sonar_gl.noise.noise.stream", noted)
+    noise = Noise(ambient_db=-60, interference_lines=1, gaussian=0.1, salt_and_pepper=0.1, dropped_beams=0.1)
+    for one in (
+        noise,
+        Noise(speckle=True),
+    ):  # speckle and the receiver's noise together are one field, of speckle
+        add_noise(even_ping(), one, seed=7, ping_number=3)
+    terms = "speckle", "receiver", "interference", "gaussian", "salt_and_pepper", "dropped_beams"
+    assert keys == {(7, 3, term) for term in terms}
 
 
 def test_terms_have_different_streams():

@@ -211,6 +211,18 @@ def test_a_ping_of_open_water_has_them():
     assert np.median(few) < 0.5 * few.mean()
 
 
+def test_they_lie_at_true_ranges():
+    """A sonar that assumes too fast sound shows bins at greater ranges than they have; volumes go by r² Δr."""
+    right = ping_of_water()
+    series = FieldCorrelation(tuple(right.azimuth_rad), BEAM_WIDTH_RAD)
+    fast = replace(right.acoustics, sonar_sound_speed_m_s=1.1 * right.acoustics.water.sound_speed())
+    numbers = [
+        scatterers_of(FEW_M3, right.range_m, series, right.sonar, acoustics).per_bin
+        for acoustics in (right.acoustics, fast)
+    ]
+    np.testing.assert_allclose(numbers[1], numbers[0] / 1.1**3, rtol=1e-9)
+
+
 def test_a_density_needs_a_strength_and_a_number():
     with pytest.raises(Error, match=r"scatterer_density_m3 needs volume_backscatter_db \(got 5 without it"):
         sg.Water(scatterer_density_m3=5.0)

@@ -171,3 +171,11 @@ def test_a_material_sets_what_a_body_leaves_out():
     assert (plain.reflectivity, plain.specular, plain.roughness_rad, plain.material) == (0.5, 0.0, 0.1, None)
     with pytest.raises(sg.Error, match=r"body 'plate': reflectivity must have shape .* one for each face"):
         sg.Body("plate", box, reflectivity=[0.5] * 8)
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 1.1])
+def test_one_face_out_of_bounds_is_enough(wrong):
+    reflectivity = np.full(12, 0.5)
+    reflectivity[7] = wrong
+    with pytest.raises(sg.Error, match=r"body 'plate': reflectivity must lie in 0\.\.1 \(got"):
+        sg.Body("plate", trimesh.creation.box((1, 1, 1)), reflectivity=reflectivity)

@@ -6,7 +6,14 @@ from dataclasses import replace
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.sonar.sampling import extend_rows, part_of, sampling_of_width
+from sonar_gl.sonar.sampling import (
+    FINEST_LEVEL,
+    extend_rows,
+    level_of,
+    part_of,
+    sampling_at,
+    sampling_of_width,
+)
 
 
 def test_sampling_of_a_width():
@@ -47,3 +54,15 @@ def test_sampling_checks_its_arguments(arguments, message):
     with pytest.raises(sg.Error) as caught:
         sg.Sampling(*arguments)
     assert str(caught.value) == message
+
+
+def test_the_finest_level_of_so_many_samples():
+    sonar = sg.load_sonar("p900-45")
+    for level in (0, 3, 12):
+        n_samples = sampling_at(sonar, level).count(sonar)
+        assert (
+            level_of(sonar, n_samples)
+            == level_of(sonar, sampling_at(sonar, level + 1).count(sonar) - 1)
+            == level
+        )
+    assert level_of(sonar, 0) == 0 and level_of(sonar, 10**12) == FINEST_LEVEL
