@@ -18,11 +18,12 @@ from functools import partial
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, Beamformer
-from sonar_gl.beamform.water_surface import WaterSurface, on_rays, whole_sectors
+from sonar_gl.beamform.water_surface import SurfaceOnRays, WaterSurface, on_rays, whole_sectors
 from sonar_gl.sonar.samples import SectorSamples
 
 # in each bin: near the vertical it spans some degrees
 NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(8)
+SHORTEST = 1e-6  # of 1 over range, what a sample covers at least: one straight above covers none
 MAX_CHANGE = 0.01  # of π σ / sin² g within a bin, up to which all samples have the mean of the bin
 
 
@@ -48,7 +49,8 @@ def sum_surface(
     of_samples = partial(_over_bin_mean, edges_m=edges_m, law=law, surface=surface, backscatter=backscatter)
     steep_m = edges_m[0], _end_of_steep_bins(edges_m, surface, backscatter)
     whole = whole_sectors(samples, beamformer.fan.sectors)
-    alone = [_surface_alone(one, surface, steep_m, of_samples) for one in whole]
+    is_spread = beamformer.fan.sampling.reducer == "footprint"
+    alone = [_surface_alone(one, surface, steep_m, of_samples, is_spread) for one in whole]
     by_lambert = beamformer.sum_footprints(alone).intensity
     intensity = by_lambert * (law * gain).astype(np.float32)
     return BeamEcho(intensity, float(intensity.sum(dtype=np.float64)))
@@ -84,19 +86,37 @@ def over_lambert(bin_edges_m: np.ndarray, height_m: float, backscatter: Callable
     return np.divide(echo, lambert, out=np.zeros_like(echo), where=lambert > 0)
 
 
-def _over_bin_mean(range_m, edges_m, law, surface: WaterSurface, backscatter: Callable) -> np.ndarray:
-    """Return π σ / sin² g at ranges of the surface over its mean in their bins.
+def _over_bin_mean(
+    inverse_m, half_length, edges_m, law, surface: WaterSurface, backscatter: Callable
+) -> np.ndarray:
+    """Return π σ / sin² g of samples of the surface over its mean in the bins that they cover.
+
+    The next bin may return many times as much: over the mean of the bin of their rays alone, samples that cover parts
+    of both would return too much.
 
     Parameters
     ----------
-    range_m : (n,) metres, from the first edge to before the last
+    inverse_m, half_length : (n,) 1 over range, and half of what a sample covers of it
     edges_m, law : (K + 1,) edges of bins, and (K,) means in bins
     """
-    sines = np.minimum(surface.height_m / range_m, 1.0)
-    bins = np.searchsorted(edges_m, range_m, side="right") - 1
-    means = law[np.minimum(bins, len(law) - 1)]  # rounding may take a range to the last edge
+    sines = np.minimum(surface.height_m * inverse_m, 1.0)
     own = np.pi * backscatter(np.arcsin(sines)) / sines**2
-    return np.divide(own, means, out=np.ones_like(own), where=means > 0)
+    # the echo of a footprint rises as the square of 1 over range, see `kernels.BinTable`
+    squares = 1 / np.maximum(edges_m, 1e-6)[::-1] ** 2
+    up_to = np.append(0.0, np.cumsum(law[::-1] * np.diff(squares)))
+    half_length = np.maximum(half_length, SHORTEST * inverse_m)
+    ends = np.array([np.maximum(inverse_m - half_length, 0.0), inverse_m + half_length])
+    far, near = np.clip(ends**2, squares[0], squares[-1])
+    covered = np.interp(near, squares, up_to) - np.interp(far, squares, up_to)
+    return np.divide(own * (near - far), covered, out=np.ones_like(own), where=covered > 0)
+
+
+def _half_lengths(samples: SectorSamples, met: SurfaceOnRays) -> np.ndarray:
+    """Return (R, C) half of what samples of the surface, a column wide and a row high, cover in 1 over range."""
+    sector, over_length2 = samples.sector, met.depth_inverse / met.ray_length**2
+    (u, v), (_, u_i, u_j), (_, v_i, v_j) = sector.sample_coordinates(), sector.u, sector.v
+    across, along = met.slopes[0] - over_length2 * u, met.slopes[1] - over_length2 * v
+    return np.hypot(across * u_i, along * (v_j - v_i * u_j / u_i)) / 2 / met.ray_length
 
 
 def _end_of_steep_bins(edges_m, surface: WaterSurface, backscatter: Callable) -> float:
@@ -108,14 +128,19 @@ def _end_of_steep_bins(edges_m, surface: WaterSurface, backscatter: Callable) ->
 
 
 def _surface_alone(
-    samples: SectorSamples, surface: WaterSurface, steep_m: tuple[float, float], over_bin_mean: Callable
+    samples: SectorSamples,
+    surface: WaterSurface,
+    steep_m: tuple[float, float],
+    over_bin_mean: Callable,
+    is_spread: bool,
 ) -> SectorSamples:
     """Return samples of the surface alone, where no body is nearer; their echo is that by Lambert's law.
 
     Parameters
     ----------
     steep_m : between these ranges samples have a factor of their own
-    over_bin_mean : function (range_m) -> that factor
+    over_bin_mean : function (inverse_m, half_length) -> that factor
+    is_spread : samples are spread over their footprints; else each is added to one bin
     """
     met = on_rays(samples, surface)
     plane_echo = np.zeros_like(samples.plane_echo)
@@ -126,6 +151,6 @@ def _surface_alone(
     near, far = (met.depth_inverse * edge_m for edge_m in steep_m)
     is_steep = met.is_nearest & (met.ray_length >= near) & (met.ray_length < far)
     if is_steep.any():
-        range_m = met.ray_length[is_steep] / met.depth_inverse[is_steep]
-        plane_echo[is_steep, 3] *= over_bin_mean(range_m)
+        inverse_m = met.depth_inverse[is_steep] / met.ray_length[is_steep]
+        plane_echo[is_steep, 3] *= over_bin_mean(inverse_m, is_spread * _half_lengths(samples, met)[is_steep])
     return SectorSamples(samples.sector, plane_echo, samples.body_id)

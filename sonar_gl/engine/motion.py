@@ -14,6 +14,7 @@ from sonar_gl.ping import BIN_LABELS, NOISE_PARTS, Ping
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_M_S, MAX_RAD_S = 30.0, 20.0
+WHOLE_TURN = 2 * math.pi  # after which bearings repeat, whatever the fan
 
 
 def check_velocity(velocity) -> np.ndarray | None:
@@ -65,9 +66,11 @@ def _redistribute(powers, cells, scale, shift, edges, turn, out):
     """
     n_cells = edges.shape[0] - 1
     for row in range(powers.shape[0]):
-        for way in range(-1, 2):
-            if way != 0 and turn == 0.0:
-                continue
+        first_way, last_way = 0, 0
+        if turn > 0.0:  # as often as a row lies among the edges: a fast turn may be more than a whole one
+            first, last = scale[row] * cells[0] + shift[row], scale[row] * cells[-1] + shift[row]
+            first_way, last_way = math.ceil((edges[0] - last) / turn), math.floor((edges[-1] - first) / turn)
+        for way in range(first_way, last_way + 1):
             begin = 0
             for i in range(powers.shape[1]):
                 low = scale[row] * cells[i] + shift[row] + way * turn
@@ -106,7 +109,8 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
 
     The echo in a cell of beam and bin is shared among the cells that cover its new place, half way to the beams
     beside it, so that the sum over beams, each times the angle it covers, stays except for what leaves the fan
-    and the range. What enters the fan stays dark: the sound went out before. Labels are those of the nearest
+    and the range. What leaves a wide fan, or turns far, may enter it on the other side; what was not in it at first
+    stays dark: the sound went out before. Labels are those of the nearest
     cell; `body_echo` stays.
 
     Parameters
@@ -125,7 +129,6 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     given, velocity = velocity, _in_head(velocity, sonar)
     azimuth = _cell_edges(own, math.radians(sonar.beam_width_deg))
     edges = sonar.range_min_m + ping.bin_size_m * np.arange(len(r) + 1)
-    whole_turn = 2 * math.pi if azimuth[-1] - azimuth[0] > 2 * math.pi - 1e-9 else 0.0
     # first along each beam, then, as it depends on the range that is shown, across the beams
     width = np.diff(azimuth)[:, None].astype(np.float32)
     nearer, even = _nearer(own, velocity, sound_speed), np.ones(len(r))
@@ -136,7 +139,7 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
         along, across = (np.zeros(shape, np.float32) for shape in (power.shape, power.shape[::-1]))
         _redistribute(power, edges, nearer, np.zeros(len(own)), edges, 0.0, along)
         _redistribute(
-            np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, whole_turn, across
+            np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, WHOLE_TURN, across
         )
         power = np.ascontiguousarray(across.T / width)
         power.setflags(write=False)
@@ -148,8 +151,7 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     if labels:
         # where the middle of each cell was at rest, to the first order
         was = own[:, None] - _turned(own[:, None], r, velocity, *speeds)
-        if whole_turn:
-            was = (was - azimuth[0]) % whole_turn + azimuth[0]
+        was = (was - azimuth[0]) % WHOLE_TURN + azimuth[0]
         beam = np.searchsorted(azimuth, was, side="right") - 1
         bin_ = np.searchsorted(edges, r / _nearer(was, velocity, sound_speed), side="right") - 1
         inside = (beam >= 0) & (beam < len(own)) & (bin_ >= 0) & (bin_ < len(r))

@@ -117,6 +117,19 @@ def test_a_turned_sonar_receives_what_a_quadrature_over_directions_gives(roll, p
         np.testing.assert_allclose(smooth(found[beam]), smooth(expected), atol=0.02 * smooth(expected).max())
 
 
+@pytest.mark.filterwarnings("ignore:no echo came back")
+def test_beams_that_look_up_have_their_echo_where_the_backscatter_falls_much_from_bin_to_bin():
+    """Straight above, bins of 15 cm hold many degrees each, and samples cover parts of two of them."""
+    sonar, height_m = sg.Sonar("upwards", 900e3, 16, 200, 20.0, 20.0, 1.25, 0.5, 30.0), 5.0
+    pose = at(height_m, pitch=-math.pi / 2)
+    found = surface_of(ideal(), pose, sonar=sonar).sum(axis=1)
+    sines = math.sin(math.radians(10.0)) * ((np.arange(2000) + 0.5) / 1000 - 1)
+    off_axis = math.radians(1.25) * ((np.arange(40) + 0.5) / 40 - 0.5)
+    rise = np.cos(sonar.azimuth_rad[:, None] + off_axis)[..., None] * np.sqrt(1 - sines**2)
+    expected = (np.pi * SIGMA(np.arcsin(rise)) / rise).mean(axis=(1, 2))
+    np.testing.assert_allclose(found, expected, rtol=0.01)
+
+
 def test_the_law_of_each_bin_is_exact_where_the_backscatter_has_a_primitive():
     """σ = a sin g, a dense layer of bubbles: π a ∫ d(sin² g) / sin g = 2 π a sin g."""
     edges, height_m, a = np.array([0.5, 1.0, 2.0, 2.1, 5.0, 5.1]), 2.0, 1e-3

@@ -137,6 +137,34 @@ def test_motion_with_a_fan_of_360_degrees():
     assert np.angle(z[1] / z[0]) == pytest.approx(-2 * 19.9 / 1500, abs=1e-4)
 
 
+def test_a_turn_of_more_than_a_whole_one_loses_no_echo():
+    """From 300 m an echo takes 0.4 s, in which a sonar at 20 rad/s turns by 8 radians."""
+    sonar = sg.Sonar("round", 900e3, 180, 200, 360.0, 10.0, 2.0, 0.5, 300.5)
+    with simulator(balls((20, 0, 0)), sonar) as run:
+        ping = run.ping(HERE)
+    intensity = np.random.default_rng(0).random(ping.intensity.shape, np.float32)
+    for yaw in (20.0, -20.0):
+        got = in_motion(replace(ping, intensity=intensity), (0, 0, 0, 0, 0, yaw)).intensity
+        np.testing.assert_allclose(got.sum(axis=0), intensity.sum(axis=0), rtol=1e-5)
+
+
+def test_an_echo_that_leaves_a_wide_fan_may_enter_on_its_other_side():
+    """A bearing of -100 degrees less 180 is 80 degrees, which the fan held when the sound went out."""
+    sonar = sg.Sonar("wide", 900e3, 240, 100, 240.0, 10.0, 1.0, 0.5, 300.5)
+    psi, r = np.radians(-100.0), 200.0
+    with simulator(balls((5, 0, 0)), sonar) as run:
+        ping = run.ping(HERE)
+    intensity, body_id = np.zeros((240, 100), np.float32), np.zeros((240, 100), np.uint16)
+    beam, bin_ = np.argmin(abs(sonar.azimuth_rad - psi)), np.argmin(abs(sonar.range_m - r))
+    intensity[beam, bin_], body_id[beam - 2 : beam + 3, bin_] = 1.0, 1
+    yaw = math.pi / (2 * sonar.range_m[bin_] / 1500)
+    got = in_motion(replace(ping, intensity=intensity, body_id=body_id), (0, 0, 0, 0, 0, yaw))
+    assert got.intensity.sum() == pytest.approx(1.0)
+    shown = np.argmax(got.intensity[:, bin_])
+    assert np.degrees(sonar.azimuth_rad[shown]) == pytest.approx(80.0, abs=1.0)
+    assert got.body_id[shown, bin_] == 1
+
+
 def test_zero_velocity_and_ignored_components():
     with simulator(balls((20, 1, 0), (10, -1, 0))) as run:
         none, still = run.ping(HERE, labels=True), run.ping(HERE, labels=True, velocity=np.zeros(6))
