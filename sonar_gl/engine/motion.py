@@ -110,8 +110,7 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     The echo in a cell of beam and bin is shared among the cells that cover its new place, half way to the beams
     beside it, so that the sum over beams, each times the angle it covers, stays except for what leaves the fan
     and the range. What leaves a wide fan, or turns far, may enter it on the other side; what was not in it at first
-    stays dark: the sound went out before. Labels are those of the nearest
-    cell; `body_echo` stays.
+    stays dark: the sound went out before. Labels are those of the nearest cell; `body_echo` stays.
 
     Parameters
     ----------
