@@ -20,7 +20,6 @@ PULSE_TAPERS = {"uniform": (), "hamming": (HAMMING,)}
 # beyond 101 and 15 c/2B.
 NEGLECTED_ENERGY = {"uniform": 1e-3, "hamming": 1.1e-4}
 NEGLECTED_POWER = 1e-4  # share of the power that `field_weights` may leave out
-NEGLECTED_SPREAD = 0.02  # share of an echo that `main_weights` may leave out
 MAX_FIELD_NULLS = 50  # or the length, in c/2B, at which `field_weights` end
 INTERVALS_PER_NULL = 2  # of integration per c/2B, each with these nodes: accurate to 1e-9
 GAUSS_LEGENDRE = np.polynomial.legendre.leggauss(8)
@@ -363,26 +362,6 @@ def convolve(
 
     run_rows(thread if n * out.size > FEW_PRODUCTS else None, work, 0, len(rows))
     return out
-
-
-def main_weights(weights: np.ndarray) -> np.ndarray:
-    """Return the middle of a kernel, which holds all but NEGLECTED_SPREAD of its sum, with the sum 1.
-
-    Parameters
-    ----------
-    weights : (n,) float32 of `bin_weights`
-
-    Returns
-    -------
-    (m,) float32, m odd, read-only
-
-    >>> main_weights(bin_weights(0.05, 30e3, "hamming")).astype(float).round(3).tolist()  # of 15
-    [0.028, 0.944, 0.028]
-    """
-    centre = len(weights) // 2
-    half_length = _half_length_within(weights[centre:], (1 - NEGLECTED_SPREAD) * float(weights.sum()))
-    main = weights[centre - half_length : centre + half_length + 1]
-    return _read_only_float32(main / main.sum())
 
 
 def matched_filter(

@@ -14,9 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import uint64
 
-from sonar_gl.acoustics.pulse import main_weights
 from sonar_gl.beamform.beamformer import BeamEcho, BodySums
 from sonar_gl.core.compiled import compiled
 from sonar_gl.engine.flow import PingSetup
@@ -53,8 +51,6 @@ MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; ha
 # With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
 MAX_COMPARED_SAMPLES = 300
 MAX_STEPS = 8  # at a time: estimates from very few samples are rough
-NO_PULSE = np.ones(1, np.float32)
-NO_PULSE.setflags(write=False)
 
 
 @dataclass(frozen=True)
@@ -220,28 +216,22 @@ class ErrorModel:
             # in the mirror image of the lattice a rod that runs along its rows does not
             before = self._drawn(self._stages.stage(fewer, -SHEAR), setup)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
-        whole = self._whole_error(tried, before, coarser, setup.pulse)
+        whole = self._whole_error(tried, before, coarser)
         worst = self._worst_body(setup, tried, before, coarser)
         steps = min(math.ceil(max(whole.steps, worst.steps)), MAX_STEPS)
         stage = tried.stage
         estimates = whole.error, worst.error, worst.number
         return Judgement(Plan(stage.sampling, level, *estimates, steps <= 0, stage.fan.n_samples), steps)
 
-    def _whole_error(
-        self, tried: TriedView, before: TriedView, coarser: float, pulse: np.ndarray | None
-    ) -> ErrorEstimate:
-        """Estimate the share of the echo in wrong bins of the ping, by how the two lattices differ.
+    def _whole_error(self, tried: TriedView, before: TriedView, coarser: float) -> ErrorEstimate:
+        """Estimate the share of the echo in wrong bins, by how the two lattices differ.
 
-        Parameters
-        ----------
         coarser : how many times as many samples `tried` has as `before`
-        pulse : of `PingSetup`: what lies one bin off is less so when the matched filter has spread it
         """
         total = tried.echo.total
         if total <= 0:
             return ErrorEstimate(0.0, 0.0)  # nothing to judge by, and coarser samples would tell no more
-        weights = NO_PULSE if pulse is None else main_weights(pulse)
-        difference = _sum_of_differences(tried.echo.intensity, before.echo.intensity, weights)
+        difference = _sum_of_differences(tried.echo.intensity, before.echo.intensity)
         factor = ERROR_FACTOR * _share_of_difference(coarser, ERROR_RATE / 2)
         error = factor * float(difference / total)
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
@@ -304,25 +294,10 @@ def _share_of_difference(coarser: float, rate: float) -> float:
 
 
 @compiled
-def _sum_of_differences(a, b, weights):
-    """Return Σ|(a − b) ∗ weights| of two float32 arrays of one shape, (B, K); NumPy would fill several more of them.
-
-    weights : (n,) float32, n odd, symmetric; over bins
-    """
-    n, n_bins, half_length = uint64(len(weights)), uint64(a.shape[1]), uint64(len(weights) // 2)
-    row, spread, total = np.zeros(n_bins + n, np.float32), np.empty(n_bins + uint64(3), np.float32), 0.0
-    spread[n_bins:] = 0
-    for j in range(uint64(a.shape[0])):
-        for k in range(n_bins):
-            row[half_length + k] = a[j, k] - b[j, k]
-            spread[k] = 0
-        for i in range(n):
-            for k in range(n_bins):
-                spread[k] += weights[i] * row[i + k]
-        # four sums, as each addition waits for the one before
-        one, two, three, four = 0.0, 0.0, 0.0, 0.0
-        for k in range(uint64(0), n_bins, uint64(4)):
-            one, two = one + abs(spread[k]), two + abs(spread[k + 1])
-            three, four = three + abs(spread[k + 2]), four + abs(spread[k + 3])
-        total += one + two + three + four
+def _sum_of_differences(a, b):
+    """Return Σ|a − b| of two float32 arrays of one shape, (B, K); NumPy would fill two more of them."""
+    total = 0.0
+    for j in range(a.shape[0]):
+        for i in range(a.shape[1]):
+            total += abs(a[j, i] - b[j, i])
     return total

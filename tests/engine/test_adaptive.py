@@ -22,7 +22,7 @@ from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, gli
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
-from sonar_gl.sonar.sampling import LEVELS_PER_HALF, ToleranceWarning, sampling_at, typical_level
+from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at, typical_level
 from tests.support.estimates import record_estimates
 from tests.support.interrupts import Interrupter
 
@@ -58,18 +58,6 @@ def test_a_smaller_tolerance_takes_more_samples_and_errs_less():
         assert 0 < ping.error_estimate <= tolerance
         assert ping.meta["tolerance"] == tolerance
     assert levels == sorted(set(levels)) and errors == sorted(errors, reverse=True)
-
-
-def test_a_long_pulse_needs_fewer_samples_as_it_spreads_what_lies_a_bin_off():
-    scene, sonar, levels = sg.Scene([ball()]), replace(SONAR, n_bins=1000, bandwidth_hz=10e3), []
-    for acoustics in (IDEAL, replace(IDEAL, pulse=True)):
-        with sg.Simulator(scene, sonar, acoustics, tolerance=0.05) as simulator:
-            ping = simulator.ping(np.eye(4))
-            levels.append(level(simulator))
-        with sg.Simulator(scene, sonar, acoustics, sampling_at(sonar, 18)) as simulator:
-            finest = simulator.ping(np.eye(4))
-        assert ping_error(ping, finest) <= ping.error_estimate <= 0.05
-    assert levels[1] <= levels[0] - LEVELS_PER_HALF
 
 
 def test_the_level_depends_on_the_scene():
