@@ -30,8 +30,9 @@ AFTER_INSTALLATION = "once after each installation ('sonar-gl doctor' compiles a
 IN_EACH_PROCESS = (
     "in each process, since no folder to keep them in can be written to; set NUMBA_CACHE_DIR to one that can"
 )
-# what Numba raises for a file of machine code that is cut off, as by a loss of power, or cannot be read or written
-UNUSABLE_FILE = OSError, EOFError, UnpicklingError
+# What Numba raises for a file of machine code that is cut off, as by a loss of power, that was written where the module
+# had another name, or that cannot be read or written.
+UNUSABLE_FILE = OSError, EOFError, UnpicklingError, ImportError
 
 
 def compiled(function):
