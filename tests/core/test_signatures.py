@@ -1,5 +1,6 @@
 """What `help` and editors show of public names."""
 
+import ast
 import inspect
 import re
 from dataclasses import fields, is_dataclass
@@ -75,3 +76,11 @@ def test_the_decorator_of_dataclasses_keeps_the_class_for_type_checkers():
     """Pyright takes what returns `type` for any class, so that Acoustics and Noise would have no fields."""
     hints = get_type_hints(shown_by_fields)
     assert hints["return"] is hints["cls"] is not type
+
+
+@pytest.mark.parametrize("package", [sg, ros])
+def test_names_that_load_late_are_in_a_stub(package):
+    """Type checkers do not see the names that `lazy_loader` makes."""
+    stub = ast.parse(Path(package.__file__).with_suffix(".pyi").read_text())
+    imported = {name.name for node in stub.body if isinstance(node, ast.ImportFrom) for name in node.names}
+    assert imported == {*package.__all__} - {"__version__"}
