@@ -1,31 +1,42 @@
 """Public names of sonar_gl: this file is both what type checkers read and what `__init__.py` loads lazily."""
 
-from . import embed
-from .acoustics.acoustics import Acoustics
-from .acoustics.water import Water
-from .analysis.reference import reference_ping
-from .analysis.terms import needed_acoustics
-from .core.errors import Error
-from .core.poses import pose
-from .embed.camera import Camera
-from .embed.sensor import ping_from_depth
-from .imaging.axes import draw_axes
-from .imaging.demarco2015 import demarco_image
-from .imaging.fan_image import colorize, fan_image
-from .imaging.files import load_npz, save_animation, save_npz, save_png
-from .live.viewer import view
-from .noise.settings import Noise
-from .ping import GBuffer, Ping
-from .scene.load import bundled_scenes, load_scene
-from .scene.mujoco_model import mujoco_poses, mujoco_sonar_pose
-from .scene.plume import Bubbles
-from .scene.reflectivity_map import textured_body
-from .scene.scene import Body, Scene
-from .scene.sonar_sensor import SonarSensor
-from .simulator import Simulator
-from .sonar.counts import Counts
-from .sonar.sampling import Sampling
-from .sonar.sonar import Sonar, load_sonar, presets
+# with `as`, since Jedi, which completes names in editors, takes others in a stub for its own
+from . import embed as embed
+from .acoustics.acoustics import Acoustics as Acoustics
+from .acoustics.water import Water as Water
+from .analysis.reference import reference_ping as reference_ping
+from .analysis.terms import needed_acoustics as needed_acoustics
+from .core.errors import Error as Error
+from .core.poses import pose as pose
+from .embed.camera import Camera as Camera
+from .embed.sensor import ping_from_depth as ping_from_depth
+from .imaging.axes import draw_axes as draw_axes
+from .imaging.demarco2015 import demarco_image as demarco_image
+from .imaging.fan_image import colorize as colorize
+from .imaging.fan_image import fan_image as fan_image
+from .imaging.files import load_npz as load_npz
+from .imaging.files import save_animation as save_animation
+from .imaging.files import save_npz as save_npz
+from .imaging.files import save_png as save_png
+from .live.viewer import view as view
+from .noise.settings import Noise as Noise
+from .ping import GBuffer as GBuffer
+from .ping import Ping as Ping
+from .scene.load import bundled_scenes as bundled_scenes
+from .scene.load import load_scene as load_scene
+from .scene.mujoco_model import mujoco_poses as mujoco_poses
+from .scene.mujoco_model import mujoco_sonar_pose as mujoco_sonar_pose
+from .scene.plume import Bubbles as Bubbles
+from .scene.reflectivity_map import textured_body as textured_body
+from .scene.scene import Body as Body
+from .scene.scene import Scene as Scene
+from .scene.sonar_sensor import SonarSensor as SonarSensor
+from .simulator import Simulator as Simulator
+from .sonar.counts import Counts as Counts
+from .sonar.sampling import Sampling as Sampling
+from .sonar.sonar import Sonar as Sonar
+from .sonar.sonar import load_sonar as load_sonar
+from .sonar.sonar import presets as presets
 
 __version__: str
 

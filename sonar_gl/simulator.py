@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error, copied_error
@@ -57,7 +59,7 @@ class Simulator:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | Simulator,
         sonar: Sonar,
         acoustics: Acoustics | None = None,
         sampling: Sampling | None = None,
@@ -259,7 +261,7 @@ class Simulator:
             (view,) = renderer.render([head_pose], with_bodies=True, full=True)
             return gbuffers_of(view)
 
-    def point_cloud(self, pose, columns: int, rows: int):
+    def point_cloud(self, pose, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
         """Return points of a plain grid of rays over the field of view, as a ray sensor would give them.
 
         Parameters
@@ -295,10 +297,10 @@ class Simulator:
     def __reduce__(self):
         raise copied_error("Simulator")  # in place of what copy and pickle say of a lock
 
-    def __enter__(self):
+    def __enter__(self) -> Simulator:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         self.close()
 
     def __del__(self):

@@ -18,6 +18,7 @@ from sonar_gl.core.checks import check_choice, check_fields, check_kind, make_nu
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.signatures import shown_by_fields
+from sonar_gl.sonar.sonar import Sonar
 
 BARE = {
     "beam_pattern": "box",
@@ -297,7 +298,7 @@ class Acoustics:
             return 1.0
         return self.sonar_sound_speed_m_s / self.water.sound_speed()
 
-    def true_range_sonar(self, sonar):
+    def true_range_sonar(self, sonar) -> Sonar:
         """Return the sonar whose bins lie at true ranges, and whose aperture is the main lobe in elevation.
 
         Parameters

@@ -59,18 +59,22 @@ def _installed_from() -> Path | None:
 
 
 def requirements(extra: str) -> list[str]:
-    """Return what an extra requires beyond the package itself; empty where the package has no metadata."""
+    """Return what an extra requires beyond the package itself; empty where the package has no metadata.
+
+    Conditions on Python and the machine stay, as in 'tomli>=2; python_version < "3.11"': pip judges them.
+    """
     try:
         entries = requires("sonar_gl") or []
     except PackageNotFoundError:
         return []
-    found = []
+    found, is_extra = [], rf"extra\s*==\s*['\"]{extra}['\"]"
     for entry in entries:
         name, _, marker = (text.strip() for text in entry.partition(";"))
-        if re.search(rf"extra\s*==\s*['\"]{extra}['\"]", marker):
+        if re.search(is_extra, marker):
+            others = re.sub(rf"\s*\band\s+{is_extra}|{is_extra}(\s+and\s+)?", "", marker)
             inner = re.fullmatch(r"sonar[-_.]gl\s*\[(.*)\]", name)  # an extra may contain others
             if inner is None:
-                found.append(name)
+                found.append(f"{name}; {others}" if others else name)
             else:
                 found += (each for other in inner[1].split(",") for each in requirements(other.strip()))
     return list(dict.fromkeys(found))

@@ -1,9 +1,12 @@
 """What `help` and editors show of the arguments of a class."""
 
 import inspect
+from typing import TypeVar
+
+Class = TypeVar("Class", bound=type)  # as `type` alone, type checkers would lose the class that is decorated
 
 
-def shown_by_fields(cls: type) -> type:
+def shown_by_fields(cls: Class) -> Class:
     """Have a dataclass with a `__new__` of its own show its fields as arguments, not those of `__new__`.
 
     >>> from dataclasses import dataclass

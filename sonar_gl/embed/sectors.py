@@ -48,7 +48,7 @@ class DrawnSector:
         self._framebuffer, self.samples, self.lost_framebuffer = framebuffer, None, False
         self._n_outer_blocks = 0  # of the host's guard, while this one is drawn
 
-    def __enter__(self):
+    def __enter__(self) -> DrawnSector:
         framebuffer = self._framebuffer
         if framebuffer.is_released:
             raise Error("a sector must be one of the last call of Sensor.sectors (got one that was released)")
@@ -65,7 +65,7 @@ class DrawnSector:
                 host.leave()
             raise
 
-    def __exit__(self, failed, *_):
+    def __exit__(self, failed, *_) -> None:
         framebuffer, host = self._framebuffer, self._framebuffer.host
         try:
             framebuffer.is_being_drawn = False

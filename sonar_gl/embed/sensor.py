@@ -366,7 +366,7 @@ class Sensor:
             release_framebuffers(drawing.framebuffers)
         lifetime.release_waiting()
 
-    def close(self):
+    def close(self) -> None:
         """Release all resources, in the thread of the host's context; a second call does nothing."""
         if self._host is not None:
             self._host.check_thread()
@@ -386,10 +386,10 @@ class Sensor:
     def __reduce__(self):
         raise copied_error("Sensor")  # in place of what copy and pickle say of a lock
 
-    def __enter__(self):
+    def __enter__(self) -> Sensor:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         self.close()
 
     def __del__(self):

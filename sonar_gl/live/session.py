@@ -347,10 +347,10 @@ class LiveSession:
     def __reduce__(self):
         raise copied_error("LiveSession")  # in place of what copy and pickle say of a lock
 
-    def __enter__(self):
+    def __enter__(self) -> LiveSession:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         self.close()
 
     # ---- the way of a ping, in the thread ----------------------------------------------------------------------

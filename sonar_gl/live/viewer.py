@@ -105,10 +105,10 @@ class LiveView:
     def __reduce__(self):
         raise copied_error("LiveView")  # in place of what copy and pickle say of a lock
 
-    def __enter__(self):
+    def __enter__(self) -> LiveView:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         self.close()
 
 

@@ -9,13 +9,5 @@ messages: `dds_transport`, whose nodes ROS lists by `discovery`; `zenoh_transpor
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach(
-    __name__,
-    submod_attrs={
-        "dds_transport": ["DdsTransport"],
-        "foxglove_transport": ["FoxgloveTransport"],
-        "publisher": ["Publisher"],
-        "publisher_settings": ["PoseSource", "PublisherSettings"],
-        "zenoh_transport": ["ZenohTransport"],
-    },
-)
+# names are in `__init__.pyi`, for type checkers, too
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

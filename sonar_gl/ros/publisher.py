@@ -512,8 +512,8 @@ class Publisher:
     def __reduce__(self):
         raise copied_error("Publisher")  # in place of what copy and pickle say of a lock
 
-    def __enter__(self):
+    def __enter__(self) -> Publisher:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_) -> None:
         self.close()

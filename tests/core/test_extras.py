@@ -36,7 +36,9 @@ def test_without_a_checkout_the_command_installs_the_requirements(monkeypatch, t
     monkeypatch.setattr(extras, "__file__", str(tmp_path / "sonar_gl" / "core" / "extras.py"))
     monkeypatch.setattr(extras, "requires", lambda name: METADATA)
     monkeypatch.setattr(extras, "_installed_from", lambda: None)
-    assert extras.install_command("batch") == f"{PIP} 'rosbags>=0.11' 'embreex>=4.4' 'zarr>=3.1'"
+    assert extras.install_command("batch") == (
+        f"""{PIP} 'rosbags>=0.11' 'embreex>=4.4; python_version > "3"' 'zarr>=3.1'"""
+    )
     assert extras.install_command("unknown") == "install what its extra 'unknown' requires"
 
     def missing(name):
@@ -68,6 +70,15 @@ def test_what_was_installed_from_a_checkout_takes_the_extra_from_there(monkeypat
     assert extras.install_command("batch") == (command if folder == "a checkout" else f"{PIP} zarr")
     shutil.rmtree(checkout)
     assert extras.install_command("batch") == f"{PIP} zarr"
+
+
+@pytest.mark.parametrize("marker", ['({where}) and extra == "live"', 'extra == "live" and ({where})'])
+def test_the_command_leaves_out_what_is_not_for_this_machine(monkeypatch, marker):
+    """As Cyclone DDS, of which there are no wheels for ARM: pip would install nothing at all."""
+    where = 'python_version < "3.14" and (sys_platform != "linux" or platform_machine == "x86_64")'
+    entry = f"cyclonedds>=11.0.1; {marker.format(where=where)}"
+    monkeypatch.setattr(extras, "requires", lambda name: [entry])
+    assert extras.requirements("live") == [f"cyclonedds>=11.0.1; ({where})"]
 
 
 def test_every_extra_has_requirements_in_the_metadata():
