@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +29,7 @@ ROUGHNESS_BOUNDS_RAD = 0.01, 0.5
 SPECKLE_SHAPE_BOUNDS = 0.05, 1e4
 DEFAULT_REFLECTIVITY = 0.5
 MAX_BODIES = 65535  # labels are uint16, and 0 is for bins without echo
+SEPARATOR = re.compile("(?=::)")  # between the names of a model and of what is in it
 
 
 class _LazyMesh:
@@ -334,9 +337,18 @@ class Scene:
             thing.name: np.eye(4)
             if thing.name == model or np.array_equal(thing.pose, home)
             else model_from_world @ thing.pose
-            for thing in (*self.bodies, *self.plumes)
-            if thing.name == model or thing.name.startswith(f"{model}::")
+            for thing in self._things_of_models.get(model, ())
         }
+
+    @cached_property
+    def _things_of_models(self) -> dict[str, list[Body | Bubbles]]:
+        """The bodies and plumes of each model that has any, found for all at once: there may be a thousand models."""
+        out = {}
+        for thing in (*self.bodies, *self.plumes):
+            ends = [match.start() for match in SEPARATOR.finditer(thing.name)]
+            for model in {thing.name, *(thing.name[:end] for end in ends)} & self.models.keys():
+                out.setdefault(model, []).append(thing)
+        return out
 
     def with_surface(self, surface_z_m: float | None) -> Scene:
         """Return the same scene with the water's surface at this height, metres; None = out of reach."""
