@@ -14,7 +14,7 @@ import numpy as np
 from sonar_gl.core.checks import check_kind, check_number, frozen_array
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.names import matching_names
-from sonar_gl.core.poses import check_pose
+from sonar_gl.core.poses import MAX_POSITION_M, check_pose
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.primitives import Shape, Triangles, transform
@@ -151,7 +151,12 @@ class Body:
                 f"{location}: mesh faces must be an array of whole numbers of shape (F, 3) (got {got}; "
                 "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)"
             )
-        frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices")
+        given = frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices")
+        if abs(furthest := max(given.max(initial=0), given.min(initial=0), key=abs)) > MAX_POSITION_M:
+            raise Error(
+                f"{location}: mesh vertices must lie within {MAX_POSITION_M:g} m of the mesh's origin (got "
+                f"{furthest:g}; give metres, and leave out vertices that stand for missing data)"
+            )
         if faces.min() < 0 or faces.max() >= len(vertices):
             got = faces.min() if faces.min() < 0 else faces.max()
             raise Error(f"{location}: faces must name vertices 0..{len(vertices) - 1} (got {got})")
