@@ -279,9 +279,11 @@ def closedness(vertices, faces) -> int:
     """
     if len(faces) > MAX_CLOSED_FACES:
         return 0
-    extent = np.ptp(vertices, axis=0).max()
+    # from their corner: far from the origin of the mesh, as in UTM, keys of a tiny mesh would overflow
+    from_corner = vertices - vertices.min(axis=0)
+    extent = from_corner.max()
     # merge coincident vertices: creases and seams duplicate them
-    keys = np.ascontiguousarray(np.round(vertices / (extent or 1.0) * 1e9).astype(np.int64))
+    keys = np.ascontiguousarray(np.round(from_corner / (extent or 1.0) * 1e9).astype(np.int64))
     _, same = np.unique(keys.view([("", np.int64)] * 3).ravel(), return_inverse=True)
     triangles = same.ravel()[faces]
     triangles = triangles[

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +14,7 @@ import numpy as np
 from sonar_gl.core.checks import ArraysStayReadOnly, check_kind, check_number, frozen_array
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.names import matching_names
-from sonar_gl.core.poses import check_pose
+from sonar_gl.core.poses import MAX_POSITION_M, check_pose
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.primitives import Shape, Triangles, transform
@@ -27,6 +29,7 @@ ROUGHNESS_BOUNDS_RAD = 0.01, 0.5
 SPECKLE_SHAPE_BOUNDS = 0.05, 1e4
 DEFAULT_REFLECTIVITY = 0.5
 MAX_BODIES = 65535  # labels are uint16, and 0 is for bins without echo
+SEPARATOR = re.compile("(?=::)")  # between the names of a model and of what is in it
 
 
 class _LazyMesh:
@@ -148,7 +151,12 @@ class Body(ArraysStayReadOnly):
                 f"{location}: mesh faces must be an array of whole numbers of shape (F, 3) (got {got}; "
                 "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)"
             )
-        frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices")
+        given = frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices")
+        if abs(furthest := max(given.max(initial=0), given.min(initial=0), key=abs)) > MAX_POSITION_M:
+            raise Error(
+                f"{location}: mesh vertices must lie within {MAX_POSITION_M:g} m of the mesh's origin (got "
+                f"{furthest:g}; give metres, and leave out vertices that stand for missing data)"
+            )
         if faces.min() < 0 or faces.max() >= len(vertices):
             got = faces.min() if faces.min() < 0 else faces.max()
             raise Error(f"{location}: faces must name vertices 0..{len(vertices) - 1} (got {got})")
@@ -334,9 +342,18 @@ class Scene(ArraysStayReadOnly):
             thing.name: np.eye(4)
             if thing.name == model or np.array_equal(thing.pose, home)
             else model_from_world @ thing.pose
-            for thing in (*self.bodies, *self.plumes)
-            if thing.name == model or thing.name.startswith(f"{model}::")
+            for thing in self._things_of_models.get(model, ())
         }
+
+    @cached_property
+    def _things_of_models(self) -> dict[str, list[Body | Bubbles]]:
+        """The bodies and plumes of each model that has any, found for all at once: there may be a thousand models."""
+        out = {}
+        for thing in (*self.bodies, *self.plumes):
+            ends = [match.start() for match in SEPARATOR.finditer(thing.name)]
+            for model in {thing.name, *(thing.name[:end] for end in ends)} & self.models.keys():
+                out.setdefault(model, []).append(thing)
+        return out
 
     def with_surface(self, surface_z_m: float | None) -> Scene:
         """Return the same scene with the water's surface at this height, metres; None = out of reach."""

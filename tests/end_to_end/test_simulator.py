@@ -533,6 +533,11 @@ NAN[0, 3] = np.nan
             "body 'b': mesh vertices must be finite (got NaN or infinity in 1 of 9 numbers)",
         ),
         (
+            lambda: sg.Body("b", arrays(-3.4028235e38 * np.eye(3), np.array([[0, 1, 2]]))),
+            "body 'b': mesh vertices must lie within 1e+09 m of the mesh's origin (got -3.40282e+38; give metres, and "
+            "leave out vertices that stand for missing data)",
+        ),
+        (
             lambda: sg.Body("b", [1, 2]),
             "body 'b': mesh must be a trimesh.Trimesh (got list; "
             "sonar_gl.load_scene makes bodies of a file or of a trimesh.Scene)",
@@ -559,6 +564,10 @@ NAN[0, 3] = np.nan
         (
             lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, 3]]))),
             "body 'b': faces must name vertices 0..2 (got 3)",
+        ),
+        (
+            lambda: sg.Body("b", arrays(np.empty((0, 3)), np.array([[0, 1, 2]]))),
+            "body 'b': faces must name vertices 0..-1 (got 2)",
         ),
         (
             lambda: sg.Body(None, BOX.mesh),

@@ -1,6 +1,7 @@
 """Bodies that move, appear and disappear: a ping is that of a scene built with the same bodies."""
 
 import sys
+import time
 import warnings
 from dataclasses import replace
 
@@ -183,6 +184,37 @@ def test_what_is_in_a_model_moves_with_the_body_of_its_name():
             np.testing.assert_allclose(it.ping(POSE, bodies=order).intensity, expected, atol=1e-6)
         with pytest.warns(UserWarning, match="no echo"):
             it.ping(POSE, bodies={"rov": None})
+
+
+def test_a_school_of_models_moves_about_as_fast_as_its_bodies():
+    """For each model all bodies were gone through: the time grew with the square of their number."""
+    at = {f"fish {k}": sg.pose(5, k) for k in range(1500)}
+    bodies = [sg.Body(f"{model}::body", BALL, pose) for model, pose in at.items()]
+    names = "a", "a:::b", "a::b", "a::b::c", "ab", "ab::c"
+    bodies += [sg.Body(name, BALL) for name in names]
+    models = at | {name: np.eye(4) for name in ("a", "a:", "a::b", "ab::c", "c")}
+    with sg.Simulator(sg.Scene(bodies, models=models), SONAR, sampling=SAMPLING) as school:
+        parts = {
+            model: list(school.scene.parts_of(model)) for model in ("a", "a:", "a::b", "ab::c", "c", "ab")
+        }
+        assert parts == {
+            "a": ["a", "a:::b", "a::b", "a::b::c"],
+            "a:": ["a:::b"],
+            "a::b": ["a::b", "a::b::c"],
+            "ab::c": ["ab::c"],
+            "c": [],
+            "ab": [],
+        }
+
+        def seconds(moves):
+            times = []
+            for _ in range(3):
+                start = time.process_time()
+                school.place(moves)
+                times.append(time.process_time() - start)
+            return min(times)
+
+        assert seconds(at) < 15 * seconds({f"{model}::body": pose for model, pose in at.items()})
 
 
 @pytest.mark.parametrize("first", ALL)

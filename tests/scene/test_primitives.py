@@ -39,6 +39,14 @@ def test_solids_are_closed_and_oriented_outward_with_the_right_size(name):
         assert cosines.min() > np.cos(np.radians(6))  # half of 3.75 degrees; more where ellipsoids bend
 
 
+def test_a_tiny_solid_far_from_the_origin_of_its_mesh_is_closed():
+    """Whole numbers that tell its vertices apart overflowed: it was taken for an open surface, with a warning."""
+    pebble = trimesh.creation.icosphere(2, 1e-4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert meshes.closedness(np.add(pebble.vertices, [5e5, 5e6, 0]), pebble.faces) == 1
+
+
 @pytest.mark.parametrize("radius", [0.02, 0.11, 0.5, 1.2, 5.0])
 def test_chords_stay_near_their_arcs(radius):
     n = meshes.facets_around(radius)
