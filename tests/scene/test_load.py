@@ -233,6 +233,15 @@ def test_whole_metres_of_a_file_of_decimals_are_not_taken_as_rounded(tmp_path):
     assert load_scene(path).bodies[0].mesh.bounds[1].tolist() == [500_001, 4_500_001, -9]
 
 
+@pytest.mark.filterwarnings("ignore:.*reflectivity")
+@pytest.mark.parametrize("end", ["# last", "#2 4 3"])
+def test_comments_after_the_numbers_of_an_obj(tmp_path, end):
+    (tmp_path / "a.obj").write_text(
+        f"v 0 0 0 {end}\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3 {end}\nf 2 4 3 {end}\n"
+    )
+    assert load_scene(tmp_path / "a.obj").bodies[0].mesh.faces.tolist() == [[0, 1, 2], [1, 3, 2]]
+
+
 def test_normals_of_a_glb_turn_with_it(tmp_path):
     ball = trimesh.creation.icosphere(1)
     ball.export(tmp_path / "a.glb", include_normals=True)
