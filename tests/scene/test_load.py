@@ -358,6 +358,20 @@ def test_pyrender_instances_are_joined(pyrender):
     np.testing.assert_array_equal(body.pose, pose(0, 0, 1))
 
 
+@pytest.mark.parametrize("indices", [None, [3, 2, 1, 0, 4]])
+@pytest.mark.parametrize(
+    "mode, corners", [(5, [0, 1, 2, 2, 1, 3, 2, 3, 4]), (6, [0, 1, 2, 0, 2, 3, 0, 3, 4])]
+)
+def test_strips_and_fans_of_pyrender(pyrender, mode, corners, indices):
+    points = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [1, 3, 0], [0, 2, 0]], np.float32)
+    drawn = points if indices is None else points[indices]
+    given = None if indices is None else np.array(indices)
+    scene = pyrender.Scene()
+    scene.add(pyrender.Mesh([pyrender.Primitive(points, indices=given, mode=mode)]))
+    (body,) = load_scene(scene).bodies
+    np.testing.assert_array_equal(body.mesh.triangles.reshape(-1, 3), drawn[corners])
+
+
 def test_objects_with_the_interface_of_a_pyrender_scene():
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], float)
     primitive = SimpleNamespace(positions=corners, indices=None, normals=None, poses=None, mode=4)
