@@ -31,7 +31,7 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
     Raises
     ------
     Error
-        if it places more than MAX_BODIES geometries.
+        if it places more than MAX_BODIES geometries, or has no scene.
     ValueError
         if it declares a document type, or is no XML.
     """
@@ -41,6 +41,11 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
     _refuse_dtd(data)
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True, remove_comments=True)
     root = etree.fromstring(data, parser)
+    if root.tag.endswith("COLLADA") and root.find("{*}scene/{*}instance_visual_scene") is None:
+        raise Error(
+            f"{path}: a COLLADA file must place its geometries by a <scene> with an <instance_visual_scene> (got none; "
+            "export a scene, not a library of shapes)"
+        )
     n_skinned = 0
     sources = {}  # id of a controller -> id of what it deforms, and the matrix that it has bound it with
     for skin in root.iterfind(".//{*}controller/{*}*[@source]"):

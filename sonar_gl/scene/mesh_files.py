@@ -20,6 +20,7 @@ from sonar_gl.scene.gltf_accessors import check_accessors, check_positions
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
 from sonar_gl.scene.obj_text import tidy_obj
+from sonar_gl.scene.ply_faces import tidy_ply
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
 
 # What positions may be rounded by before there is a warning, metres: about the finest bins of an imaging sonar
@@ -125,6 +126,8 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
             with errors_at(str(path)):
                 file = io.BytesIO(tidy_obj(path.read_bytes()))
             scene = _load(file, file_type="obj", resolver=NoFiles(path))
+        elif path.suffix.lower() == ".ply":
+            scene = _load(io.BytesIO(tidy_ply(path.read_bytes())), file_type="ply", resolver=NoFiles(path))
         else:
             scene = _load(path, resolver=NoFiles(path))
         return _read_parts(scene, path)

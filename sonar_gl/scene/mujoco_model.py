@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,9 +26,11 @@ from sonar_gl.scene.sonar_sensor import SONAR_WORDS
 SUFFIXES = (".xml", ".mjcf")
 VISIBLE_GROUPS = 2  # geoms of groups 0 to 2 are what MuJoCo's viewer shows; models keep collisions in group 3
 DEFAULT_RGBA = np.float32([0.5, 0.5, 0.5, 1.0])  # of a geom that leaves the colour to its material
-FOLDERS = {"texture": ("texturedir", "assetdir")}  # attributes of <compiler>; other files are in these:
-MESH_FOLDERS = "meshdir", "assetdir"
+# attributes of <compiler> that name the folder of textures, and of all other files
+FOLDERS = {"texture": ("texturedir", "assetdir"), "mesh": ("meshdir", "assetdir")}
+SEPARATORS = r"[/\\]"  # of folders, on every system
 FILE_KEYS = "file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))  # of a cube
+URDF_FILE_KEYS = ("filename",)
 # A camera looks along -z with x to the right and y up; a sonar along x with y to port and z up.
 CAMERA_FROM_SONAR = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 
@@ -164,7 +167,7 @@ def read_mjcf(path: Path, resource_paths=()) -> Scene:
         elsewhere.
     """
     resources = Resources(path, resource_paths)
-    _check_files(path, resources, set())
+    _check_files(path, resources)
     if missing := resources.missing(path):
         raise Error(f"{missing}\nMuJoCo reads no model without them.")
     try:
@@ -176,52 +179,97 @@ def read_mjcf(path: Path, resource_paths=()) -> Scene:
     except Exception as why:  # its OpenGL, which nothing here needs
         raise Error(f"{path}: MuJoCo cannot be imported ({why}); try another value of MUJOCO_GL") from None
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        # by a relative path it would miss files that lie beside an included one
+        model = mujoco.MjModel.from_xml_path(str(path.absolute()))
     except ValueError as why:
         raise Error(f"{path}: MuJoCo cannot read this model ({' '.join(str(why).split())})") from None
     with errors_at(str(path)):
         return convert_mujoco_model(model, path.stem)
 
 
-def _check_files(main: Path, resources: Resources, checked: set[Path]) -> None:
+def _check_files(main: Path, resources: Resources) -> None:
     """Raise an Error if a model names a file outside the resource paths; note missing files in `resources`.
 
-    All names are relative to the folder of the main file, also those in files that it includes.
+    A model that it attaches has folders of its own.
     """
-    documents, models = {}, []
-    waiting = [main]
+    waiting, checked = [main], set()
     while waiting:
-        path = waiting.pop()
-        if path.resolve() in checked:
+        model = waiting.pop()
+        if model.resolve() not in checked:
+            checked.add(model.resolve())
+            waiting += _check_files_of_one(model, resources)
+
+
+def _check_files_of_one(main: Path, resources: Resources) -> list[Path]:
+    """Check the files that one model names; return the models that it attaches."""
+    is_urdf = resources.parse(main).tag == "robot"
+    strips, folders, models, elements = is_urdf, dict.fromkeys(FOLDERS, ""), [], []
+    for path, element in _elements(main, resources):
+        if element.tag == "compiler":  # of several the last counts
+            strips = element.get("strippath", str(strips).lower()) == "true"
+            for kind, keys in FOLDERS.items():
+                folders[kind] = next(
+                    (element.get(key) for key in keys if key in element.attrib), folders[kind]
+                )
+        elif element.tag == "model" and (file := element.get("file")):
+            models.append(_find(file, "", main, path, resources, f"{path}: model[{file}]"))
+        elif element.tag != "include":
+            elements.append((path, element))
+    for path, element in elements:
+        for file in filter(None, map(element.get, URDF_FILE_KEYS if is_urdf else FILE_KEYS)):
+            folder = folders["texture" if element.tag == "texture" else "mesh"]
+            where = f"{path}: {element.tag}[{element.get('name') or file}]"
+            if strips:
+                file = re.split(SEPARATORS, file)[-1]
+            _find(file, folder, main, path, resources, where)
+    return [model for model in models if model is not None]
+
+
+def _elements(main: Path, resources: Resources) -> Iterator[tuple]:
+    """Yield file and element of a model, with those of a file that it includes in place of the `<include>`."""
+    included = {main.resolve()}  # MuJoCo refuses a file that is included twice
+    waiting = [(main, resources.parse(main).iter())]
+    while waiting:
+        path, rest = waiting[-1]
+        element = next(rest, None)
+        if element is None:
+            waiting.pop()
             continue
-        checked.add(path.resolve())
-        documents[path] = resources.parse(path)
-        for element in documents[path].iter():
-            if (file := element.get("file")) and element.tag in ("include", "model"):
-                found = _find(file, main, resources, f"{path}: {element.tag}[{file}]")
-                (waiting if element.tag == "include" else models).extend([] if found is None else [found])
-    compilers = [element for root in documents.values() for element in root.iter("compiler")]
-    settings = {key: text for compiler in compilers for key, text in compiler.attrib.items()}
-    for path, root in documents.items():
-        for element in root.iter():
-            if element.tag in ("include", "model"):
-                continue
-            for file in (Path(element.get(key)) for key in FILE_KEYS if element.get(key)):
-                if settings.get("strippath") == "true":
-                    file = Path(file.name)
-                keys = FOLDERS.get(element.tag, MESH_FOLDERS)
-                folder = next((settings[key] for key in keys if key in settings), "")
-                where = f"{path}: {element.tag}[{element.get('name') or file}]"
-                _find(Path(folder, file), main, resources, where)
-    for model in models:
-        _check_files(model, resources, checked)
+        yield path, element
+        if element.tag == "include" and (file := element.get("file")):
+            found = _find(file, "", main, path, resources, f"{path}: include[{file}]")
+            if found is not None and found.resolve() not in included:
+                included.add(found.resolve())
+                waiting.append((found, resources.parse(found).iter()))
 
 
-def _find(file, main: Path, resources: Resources, location: str) -> Path | None:
-    found = resources.find(str(main.parent.absolute() / file), main.parent, location)
+def _find(file: str, folder: str, main: Path, path: Path, resources: Resources, location: str) -> Path | None:
+    """Return the file that MuJoCo reads; None if it is missing, which is noted in `resources`.
+
+    Parameters
+    ----------
+    file : its name, as in the model; relative to the main file's folder, else to that of the file that names it
+    folder : of the main file's folder in which it is, as the model's compiler names it
+    main, path : the main file, and the one that names it
+    """
+    names = [(main.parent, _reduced(f"{folder}/{file}" if folder else file)), (path.parent, _reduced(file))]
+    if re.match(SEPARATORS, file):
+        names = names[1:]
+    candidates = [os.path.join(base.absolute(), name) for base, name in names]
+    chosen = next(filter(os.path.exists, candidates), candidates[0])
+    found = resources.find(chosen, main.parent, location)
     if found is not None:
         note_file(found)  # MuJoCo reads it
     return found
+
+
+def _reduced(name: str) -> str:
+    """Return a path as MuJoCo has it: with either slash, and without a folder that `..` leaves again.
+
+    >>> _reduced("meshes\\\\old/../hull.stl")
+    'meshes/hull.stl'
+    """
+    return os.path.normpath(re.sub(SEPARATORS, "/", name))
 
 
 def _check_data(data) -> None:
@@ -255,7 +303,15 @@ def _parts(model) -> Iterator[Part]:
 
 
 def _name(model, kind: str, number: int) -> str:
-    return getattr(model, kind)(number).name or f"{kind}_{number}"
+    """Return the name of a body or geom; of one without, `body_3` by its number, or `body_3_` if that is taken."""
+    import mujoco
+
+    if name := getattr(model, kind)(number).name:
+        return name
+    name, of_kind = f"{kind}_{number}", getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+    while mujoco.mj_name2id(model, of_kind, name) >= 0:
+        name += "_"
+    return name
 
 
 def _body_number(model, name: str) -> int:
@@ -266,7 +322,7 @@ def _body_number(model, name: str) -> int:
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, candidate)
         if number >= 0:
             return number
-        found = re.fullmatch(r"body_(\d+)", candidate)
+        found = re.fullmatch(r"body_(\d+)_*", candidate)
         if found and int(found[1]) < model.nbody and not model.body(int(found[1])).name:
             return int(found[1])
     return 0

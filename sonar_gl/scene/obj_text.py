@@ -9,9 +9,10 @@ import numpy as np
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
 
-# Lines that are indented, names that tabs follow, lines that go on, ends of lines of old Macs, and corners of faces
-# that are counted back from the face. trimesh leaves out the first two, joins words over the next, and counts back
-# from the end of the file. It takes vertex 0, which no file has, as vertex 1, and makes a fan of each polygon.
+# Lines that are indented, names that tabs follow, lines that go on, ends of lines of old Macs, comments after numbers,
+# and corners of faces that are counted back from the face. trimesh leaves out the first two, joins words over the next,
+# takes comments for numbers, and counts back from the end of the file. It takes vertex 0, which no file has, as vertex
+# 1, and makes a fan of each polygon.
 UNTIDY = tuple(
     re.compile(pattern)
     for pattern in (
@@ -19,6 +20,7 @@ UNTIDY = tuple(
         rb"\n(?:v|vt|vn|f|g)\t",
         rb"\\\r?\n",
         rb"\r(?!\n)",
+        rb"\n(?:v|vt|vn|f) [^\n#]*#",
         rb"\nf[ \d/]*-",
         rb"\nf[ \d/]* 0+(?!\d)",
         rb"\nf(?: +[\d/]+){5}",
@@ -59,6 +61,8 @@ def _tidy_lines(text: bytes) -> bytes:
     for line in re.sub(rb"\\\r?\n", b" ", text).splitlines():
         words = line.split()
         kind = words[0] if words else b""
+        if b"#" in line and (kind == b"f" or kind in counts):
+            words = line.partition(b"#")[0].split()
         if kind in counts:
             counts[kind] += 1
         if kind == b"v":

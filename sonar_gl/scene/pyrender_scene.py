@@ -17,7 +17,7 @@ from sonar_gl.scene.primitives import Shape, concatenate, make_shape, transform
 from sonar_gl.scene.scene import Scene, body_at
 
 NEW_PYOPENGL = 3, 1, 6  # 3.1.0 cannot pass arrays in Python 3.14
-TRIANGLES = 4  # glTF's number of the primitive mode; None means the same
+TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6  # glTF's numbers of the primitive modes; None is the first
 
 
 def is_pyrender_scene(what) -> bool:
@@ -51,16 +51,31 @@ def convert_pyrender_scene(scene) -> Scene:
 
 def _instances(primitive) -> Iterator[Shape]:
     """Yield a shape for each instance of a pyrender primitive; nothing if it holds lines or points."""
-    if primitive.mode not in (None, TRIANGLES):
-        return
     vertices = np.asarray(primitive.positions, np.float64)
-    if primitive.indices is None:
-        faces = np.arange(len(vertices) // 3 * 3).reshape(-1, 3)
-    else:
-        faces = np.asarray(primitive.indices).reshape(-1, 3)
+    indices = np.arange(len(vertices)) if primitive.indices is None else np.ravel(primitive.indices)
+    faces = _faces(indices, TRIANGLES if primitive.mode is None else primitive.mode)
+    if len(faces) == 0:
+        return
     shape = make_shape(vertices, faces, primitive.normals)
     for matrix in [np.eye(4)] if primitive.poses is None else primitive.poses:
         yield transform(shape, matrix)
+
+
+def _faces(indices: np.ndarray, mode: int) -> np.ndarray:
+    """Return the corners, (F, 3), of the triangles that OpenGL draws from indices; none in modes of lines or points.
+
+    >>> _faces(np.arange(4), TRIANGLE_STRIP).tolist(), _faces(np.arange(4), TRIANGLE_FAN).tolist()
+    ([[0, 1, 2], [2, 1, 3]], [[0, 1, 2], [0, 2, 3]])
+    """
+    if mode == TRIANGLES:
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3)
+    if mode not in (TRIANGLE_STRIP, TRIANGLE_FAN) or len(indices) < 3:
+        return np.empty((0, 3), np.int64)
+    if mode == TRIANGLE_FAN:
+        return np.column_stack((np.full(len(indices) - 2, indices[0]), indices[1:-1], indices[2:]))
+    faces = np.column_stack((indices[:-2], indices[1:-1], indices[2:]))
+    faces[1::2] = faces[1::2, [1, 0, 2]]  # every second triangle of a strip is turned
+    return faces
 
 
 class _NumpyWithInfty:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
+from sonar_gl.core.errors import Error
 from sonar_gl.scene.load import load_scene
 
 GEOMETRY = """<geometry id="{name}"><mesh><source id="{name}-p">
@@ -120,3 +121,13 @@ def test_nodes_that_multiply_one_another_are_refused_before_they_are_placed(read
         sg.Error, match=r"place at most 65535 geometries \(got 1000000000; nodes that hold others"
     ):
         read(geometries("a") + chain(9), '<node><instance_node url="#n0"/></node>')
+
+
+def test_a_file_without_a_scene_is_an_error_that_says_so(tmp_path):
+    path = tmp_path / "a.dae"
+    path.write_text(
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset/>'
+        f"{geometries('a')}</COLLADA>"
+    )
+    with pytest.raises(Error, match=r"a\.dae: a COLLADA file must place its geometries by a <scene> "):
+        load_scene(path)

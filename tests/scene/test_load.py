@@ -233,6 +233,15 @@ def test_whole_metres_of_a_file_of_decimals_are_not_taken_as_rounded(tmp_path):
     assert load_scene(path).bodies[0].mesh.bounds[1].tolist() == [500_001, 4_500_001, -9]
 
 
+@pytest.mark.filterwarnings("ignore:.*reflectivity")
+@pytest.mark.parametrize("end", ["# last", "#2 4 3"])
+def test_comments_after_the_numbers_of_an_obj(tmp_path, end):
+    (tmp_path / "a.obj").write_text(
+        f"v 0 0 0 {end}\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3 {end}\nf 2 4 3 {end}\n"
+    )
+    assert load_scene(tmp_path / "a.obj").bodies[0].mesh.faces.tolist() == [[0, 1, 2], [1, 3, 2]]
+
+
 def test_normals_of_a_glb_turn_with_it(tmp_path):
     ball = trimesh.creation.icosphere(1)
     ball.export(tmp_path / "a.glb", include_normals=True)
@@ -347,6 +356,20 @@ def test_pyrender_instances_are_joined(pyrender):
     assert len(body.mesh.faces) == 24
     np.testing.assert_allclose(body.mesh.bounds, [[-5.5, -0.5, -0.5], [5.5, 0.5, 0.5]])
     np.testing.assert_array_equal(body.pose, pose(0, 0, 1))
+
+
+@pytest.mark.parametrize("indices", [None, [3, 2, 1, 0, 4]])
+@pytest.mark.parametrize(
+    "mode, corners", [(5, [0, 1, 2, 2, 1, 3, 2, 3, 4]), (6, [0, 1, 2, 0, 2, 3, 0, 3, 4])]
+)
+def test_strips_and_fans_of_pyrender(pyrender, mode, corners, indices):
+    points = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [1, 3, 0], [0, 2, 0]], np.float32)
+    drawn = points if indices is None else points[indices]
+    given = None if indices is None else np.array(indices)
+    scene = pyrender.Scene()
+    scene.add(pyrender.Mesh([pyrender.Primitive(points, indices=given, mode=mode)]))
+    (body,) = load_scene(scene).bodies
+    np.testing.assert_array_equal(body.mesh.triangles.reshape(-1, 3), drawn[corners])
 
 
 def test_objects_with_the_interface_of_a_pyrender_scene():

@@ -226,6 +226,20 @@ def test_what_deforms_is_left_out():
     assert warned == ["flexes and skins of the MuJoCo model are left out (they deform)"]
 
 
+def test_names_by_number_differ_from_those_that_the_model_gives(tmp_path):
+    model = model_of(
+        "<body name='body_2'><geom size='1'/></body><body pos='5 0 0'><freejoint/><geom size='1'/></body>"
+        "<geom name='geom_1' size='1'/><geom size='1'/>"
+    )
+    scene, _ = load(model)
+    assert [body.name for body in scene.bodies] == ["geom_1", "geom_1_", "body_2", "body_2_"]
+    data = mujoco.MjData(model)
+    data.qpos[0] = 7
+    mujoco.mj_forward(model, data)
+    poses = sg.mujoco_poses(scene, data)
+    assert {name: matrix[0, 3] for name, matrix in poses.items()} == {"body_2": 0, "body_2_": 7}
+
+
 # ---- files -------------------------------------------------------------------------------------------
 
 
@@ -246,12 +260,12 @@ def test_a_file_with_includes_and_meshes(tmp_path):
     assert (scene.name, warned) == ("tank", [])
     np.testing.assert_allclose(boxes_of(scene)["w"], [[0, 0, 0], [1, 2, 3]], atol=FLOAT32)
 
-    (tmp_path / "meshes" / "wedge.obj").rename(tmp_path / "wedge.obj")
+    (tmp_path / "meshes" / "wedge.obj").rename(tmp_path / "lost.obj")
     message = error_message(path)
     assert "wedge.obj" in message and f"named by {tmp_path}/part.xml: mesh[w]" in message
     assert message == error_message(path, skip_missing=True)
     path.write_text(text.replace("'meshes'", "'..'"))
-    (tmp_path / "wedge.obj").rename(tmp_path.parent / "wedge.obj")
+    (tmp_path / "lost.obj").rename(tmp_path.parent / "wedge.obj")
     assert "must stay in the scene's folder and the resource paths" in error_message(path)
     assert len(load(path, [tmp_path.parent])[0].bodies) == 1
     path.write_text(text.replace("part.xml", "../part.xml"))
@@ -311,4 +325,81 @@ def test_files_of_a_texture_s_sides_stay_in_the_folder(tmp_path, side):
     )
     message = error_message(path)
     assert message.startswith(f"{path}: texture[t]: ")
+    assert f"must stay in the scene's folder and the resource paths (it leads to {outside}; " in message
+
+
+TRIANGLES = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+OF_MESH = "<worldbody><geom type='mesh' mesh='hull'/></worldbody>"
+NAMED_FILES = {
+    "an include beside the file that includes it": {
+        "a.xml": "<mujoco><include file='parts/one.xml'/></mujoco>",
+        "parts/one.xml": "<mujocoinclude><include file='two.xml'/></mujocoinclude>",
+        "parts/two.xml": "<mujocoinclude><worldbody><geom size='1'/></worldbody></mujocoinclude>",
+    },
+    "a mesh beside the file that includes it": {
+        "a.xml": f"<mujoco><include file='parts/one.xml'/>{OF_MESH}</mujoco>",
+        "parts/one.xml": "<mujocoinclude><asset><mesh file='hull.obj'/></asset></mujocoinclude>",
+        "parts/hull.obj": TRIANGLES,
+    },
+    "a folder that the last compiler names": {
+        "a.xml": f"<mujoco><include file='one.xml'/><compiler meshdir='meshes'/>{OF_MESH}</mujoco>",
+        "one.xml": "<mujocoinclude><compiler meshdir='old'/><asset><mesh file='hull.obj'/></asset></mujocoinclude>",
+        "meshes/hull.obj": TRIANGLES,
+    },
+    "a folder of all assets after one of meshes": {
+        "a.xml": "<mujoco><compiler meshdir='old'/><compiler assetdir='meshes'/>"
+        f"<asset><mesh file='hull.obj'/></asset>{OF_MESH}</mujoco>",
+        "meshes/hull.obj": TRIANGLES,
+    },
+    "backslashes": {
+        "a.xml": rf"<mujoco><asset><mesh file='meshes\hull.obj'/></asset>{OF_MESH}</mujoco>",
+        "meshes/hull.obj": TRIANGLES,
+    },
+    "a path of Windows that is stripped": {
+        "a.xml": r"<mujoco><compiler strippath='true'/><asset><mesh file='C:\rov\hull.obj'/></asset>"
+        f"{OF_MESH}</mujoco>",
+        "hull.obj": TRIANGLES,
+    },
+    "a folder that there is not, and back": {
+        "a.xml": f"<mujoco><asset><mesh file='old/../hull.obj'/></asset>{OF_MESH}</mujoco>",
+        "hull.obj": TRIANGLES,
+    },
+}
+
+
+@pytest.mark.parametrize("files", NAMED_FILES.values(), ids=NAMED_FILES)
+def test_files_are_found_where_mujoco_finds_them(tmp_path, monkeypatch, files):
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    mujoco.MjModel.from_xml_path(f"{tmp_path}/a.xml")
+    with noted_files() as noted:
+        assert len(load(tmp_path / "a.xml")[0].bodies) == 1
+    assert sorted(noted) == sorted(f"{tmp_path}/{name}" for name in files)
+    monkeypatch.chdir(tmp_path.parent)
+    assert len(load(f"{tmp_path.name}/a.xml")[0].bodies) == 1
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [
+        "<robot name='r'><mujoco><compiler strippath='false' discardvisual='false'/></mujoco><link name='a'><visual>"
+        "<geometry><mesh filename='{}'/></geometry></visual></link></robot>",
+        "<mujoco><compiler meshdir='.'/><compiler assetdir='{.parent}'/><asset><mesh file='hull.obj'/></asset>"
+        "<worldbody><body name='a'><geom type='mesh' mesh='hull'/></body></worldbody></mujoco>",
+    ],
+    ids=["urdf", "assetdir"],
+)
+def test_files_of_an_attached_model_stay_in_the_folder(tmp_path, robot):
+    outside, path = tmp_path / "hull.obj", tmp_path / "inside" / "a.xml"
+    path.parent.mkdir()
+    for file in (outside, path.parent / "hull.obj"):
+        file.write_text(TRIANGLES)
+    path.with_name("robot.xml").write_text(robot.format(outside))
+    path.write_text(
+        "<mujoco><asset><model name='m' file='robot.xml'/></asset><worldbody><body>"
+        "<attach model='m' body='a' prefix='m_'/></body></worldbody></mujoco>"
+    )
+    message = error_message(path)
+    assert message.startswith(f"{path.parent}/robot.xml: mesh[")
     assert f"must stay in the scene's folder and the resource paths (it leads to {outside}; " in message
