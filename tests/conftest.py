@@ -10,10 +10,21 @@ from pathlib import Path
 import moderngl
 import pytest
 
+from tests.support.kernels import compile_kernels
+
 ROOT = Path(__file__).resolve().parents[1]
 
 # a shell has what it runs in the background ignore Ctrl-C, which some tests send to commands, in this process or others
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_sessionstart(session):
+    """Compile kernels before all tests, once for all their processes; who names tests compiles what those need."""
+    config = session.config
+    is_complete = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword
+    is_kept = hasattr(config, "cache")  # not with `-p no:cacheprovider`
+    if is_complete and is_kept and not hasattr(config, "workerinput") and not config.option.collectonly:
+        compile_kernels(config.cache, config.get_terminal_writer().line)
 
 
 def pytest_collection_finish():

@@ -238,7 +238,6 @@ def test_lapack_has_one_thread_and_is_looked_for_once():
     assert python("-c", LAPACK_THREADS, environment=settings, check=True).stdout.split()
 
 
-@pytest.mark.timeout(60)
 def test_a_signal_handler_may_make_a_sonar_while_lapack_is_at_work(monkeypatch):
     """Early versions hung: the handler waited for LAPACK, which the code below it had."""
     real, others = np.linalg.eigh, []

@@ -17,7 +17,7 @@ from tests.support.processes import python
 
 QUICK = "pylon", "--profile", "ideal", "--noise", "none", "--tolerance", "0.2"
 WAIT_S = 180.0  # a machine that tests run on may be slow, and compile kernels first
-END = "60"  # seconds: of a command that SIGTERM does not end
+END = "600"  # seconds: of a command that SIGTERM does not end, beyond the time limit of a test
 
 pytestmark = pytest.mark.timeout(WAIT_S + 60)
 
@@ -42,8 +42,7 @@ def unhandled():
 def test_a_live_command_prints_its_closing_line(command, closing_line, unhandled, monkeypatch):
     monkeypatch.setitem(vars(ros), "DdsTransport", lambda **_: LoopbackTransport())
     handler = signal.getsignal(signal.SIGTERM)
-    printed, begin_s = run_beside([*command, "--duration", END], time.monotonic, WAIT_S, signal.SIGTERM)
-    assert time.monotonic() - begin_s < float(END) / 2
+    printed, _ = run_beside([*command, "--duration", END], lambda: None, WAIT_S, signal.SIGTERM)
     assert not unhandled and closing_line in printed
     assert signal.getsignal(signal.SIGTERM) is handler
 

@@ -25,6 +25,7 @@ from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.functions import Functions
 from sonar_gl.raster.cull import choose_patches
+from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 BOX = sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(6, 2, 0), 0.8)
@@ -744,12 +745,12 @@ def test_a_deleted_simulator_is_freed():
     it.ping(np.eye(4))
     beamformer = weakref.ref(it.run.sampler.resolution.stage.beamformer)
     del it
-    for _ in range(50):  # the second thread drops its last work with a delay
+
+    def is_freed():
         gc.collect()
-        if beamformer() is None:
-            break
-        time.sleep(0.01)
-    assert beamformer() is None
+        return beamformer() is None
+
+    wait_until(is_freed, often_s=0.01)  # the second thread drops its last work with a delay
 
 
 def test_point_clouds_do_not_leak_gl_objects(opengl_engine):
@@ -765,7 +766,14 @@ def test_point_clouds_do_not_leak_gl_objects(opengl_engine):
 
 def test_closing_in_another_thread_while_a_ping_waits():
     it = simulator()
-    outcome = []
+    run, outcome = it.run, []
+
+    def is_closed(run):
+        try:
+            run.check_open()
+        except sg.Error:
+            return True
+        return False
 
     def wait():
         try:
@@ -779,7 +787,7 @@ def test_closing_in_another_thread_while_a_ping_waits():
         time.sleep(0.1)
         closing = threading.Thread(target=it.close)
         closing.start()
-        time.sleep(0.1)
+        wait_until(lambda: is_closed(run))  # else the ping may be first, and succeed
     closing.join()
     waiting.join()
     assert [type(why) for why in outcome] == [sg.Error]

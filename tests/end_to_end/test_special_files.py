@@ -22,7 +22,7 @@ KINDS = {  # kind -> (function that makes one at a path, what messages say)
         "got a pointer of Git LFS; fetch the file by 'git lfs pull'",
     ),
 }
-WAIT_S = 20
+WAIT_S = 60  # a machine that tests run on may be slow
 
 
 @contextmanager

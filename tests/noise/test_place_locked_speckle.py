@@ -362,7 +362,6 @@ def test_of_waves_in_turn_that_do_not_all_fit_some_are_kept():
     assert generated == [True, True, True, False, False, True, False, False, True]
 
 
-@pytest.mark.timeout(20)
 def test_a_signal_handler_may_use_the_cache_at_any_line_of_a_use():
     """Early versions hung: the handler waited for a lock that the code below it held."""
     chunk = CHUNK * 2 * 10 * 4  # bytes

@@ -136,7 +136,7 @@ ambient_db = [-90.0, -60.0]
 looks = [1, 3]
 
 [labels]
-layers = ["body", "class", "boxes"]
+layers = ["body", "class", "shadow", "boxes"]
 background = ["floor"]
 height = 64
 level_db = -50.0

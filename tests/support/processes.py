@@ -23,5 +23,5 @@ def python(*words, environment: Mapping[str, str] | None = None, **options) -> s
     options : of `subprocess.run`, in place of these
     """
     variables = {**os.environ, "PYTHONPATH": HOME, **(environment or {})}
-    options = {"capture_output": True, "text": True, "timeout": 60, **options}
+    options = {"capture_output": True, "text": True, "timeout": 100, **options}
     return subprocess.run([sys.executable, *map(str, words)], env=variables, **options)

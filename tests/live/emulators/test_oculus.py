@@ -287,11 +287,18 @@ def test_another_gain_needs_no_other_simulator(connection, monkeypatch):
 def test_standby_stops_and_another_fire_message_goes_on(connection):
     result_of(connection, fire_bytes())
     connection.sendall(fire_bytes(rate=5))
-    connection.settimeout(0.5)
-    with pytest.raises(TimeoutError):
-        while True:
-            next_result(connection)
-    connection.settimeout(WAIT_S)
+
+    def another_begins():
+        connection.settimeout(0.5)
+        try:
+            return connection.recv(1, socket.MSG_PEEK)
+        except TimeoutError:
+            return False
+        finally:
+            connection.settimeout(WAIT_S)
+
+    while another_begins():  # one that has begun comes to its end, though a busy machine may pause in it
+        next_result(connection)
     result_of(connection, fire_bytes(range_m=4.0))
 
 
