@@ -83,20 +83,20 @@ def shell_lines(pages=None):
 
 
 def commands():
-    """Commands of the pages; slow are those of other pages than README, and those that price all terms.
+    """Commands of the pages; slow are those of other pages than README, that price all terms, or draw large scenes.
 
     Slow are also those whose arguments, options and settings (as `looks` in `looks=2`) commands before them have.
     """
     found = [p for p in shell_lines() if p.values[0][0] == "sonar-gl" and p.values[0][1] != "batch"]
     fast = {p.id for p in shell_lines([ROOT / "README.md"])}
-    slow, seen, params = {"plan", "needed"}, set(), []
+    slow, seen, params = {"plan", "needed", "ocean_floor", "diver_vertical"}, set(), []
     for p in found:
         _, command, *words = p.values[0]
         named = {*takewhile(lambda word: not word.startswith("--"), words), command}
         named |= {word for word in words if word.startswith("--")}
         named |= {name for word in words for name in re.findall(r"(\w+)=", word)}
         new = {(command, name) for name in named} - seen
-        is_slow = p.id not in fast or command in slow or not new
+        is_slow = p.id not in fast or slow & {command, *words} or not new
         seen |= set() if is_slow else new
         params.append(pytest.param(*p.values, id=p.id, marks=pytest.mark.slow if is_slow else ()))
     return params
