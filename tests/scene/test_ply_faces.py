@@ -38,6 +38,20 @@ def test_each_polygon_is_a_fan(tmp_path, order, flags, faces):
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], POINTS[np.array(triangles)])
 
 
+def test_other_lists_of_faces_may_differ_in_length(tmp_path):
+    """As texture coordinates, which some faces have; they were refused."""
+    faces = [(0, 1, 2), (0, 2, 4), TRIANGLE]
+    lists = "property list uchar int vertex_indices\nproperty list uchar float texcoord\n"
+    header = f"{HEADER.format('little')}element face 3\n{lists}end_header\n"
+    rows = [
+        struct.pack("<B3iB", 3, *face, n) + bytes(4 * n) for face, n in zip(faces, (6, 0, 6), strict=True)
+    ]
+    path = tmp_path / "a.ply"
+    path.write_bytes(header.encode() + POINTS.astype("<f4").tobytes() + b"".join(rows))
+    mesh = read_mesh(path).mesh
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], POINTS[np.array(faces)])
+
+
 @pytest.mark.parametrize(
     "data",
     [
@@ -47,10 +61,23 @@ def test_each_polygon_is_a_fan(tmp_path, order, flags, faces):
         ply_of([QUAD, TRIANGLE], properties="property uchar flag\n").replace(b"face 2", b"face 99999999999"),
         ply_of([QUAD, TRIANGLE]).replace(b"face 2", b"face 99999999999"),
         ply_of([QUAD], properties="property list char uchar vertex_indices\n").replace(b"\x04\0", b"\xff\0"),
+        ply_of([QUAD, TRIANGLE], properties="property list uchar uint vertex_indices\n")[:-1] + b"\xff",
+        ply_of([QUAD, TRIANGLE], properties="property list uchar float vertex_indices\n"),
         b"ply\nformat binary_little_endian 1.0\nend_header\n",
         b"",
     ],
-    ids=["quads", "triangles", "short", "no corners", "many", "negative", "no faces", "empty"],
+    ids=[
+        "quads",
+        "triangles",
+        "short",
+        "no corners",
+        "many",
+        "negative",
+        "no vertex",
+        "floats",
+        "no faces",
+        "empty",
+    ],
 )
 def test_other_files_and_broken_ones_stay_as_they_are(data):
     assert tidy_ply(data) == data
