@@ -446,6 +446,18 @@ def test_a_finely_meshed_plane_is_one_beside_larger_faces():
     assert sorted(offset for _, offset, _ in planes) == pytest.approx([0.05, 0.05])
 
 
+def test_the_largest_plane_is_first_though_its_faces_differ_by_rounding():
+    """Each half of the floor is smaller than the wall; they are one plane, of normals on both sides of a rounding."""
+    halves = [
+        [[x, y, -tilt * x] for x, y in ((-2, low), (2, low), (2, low + 3), (-2, low + 3))]
+        for low, tilt in ((-3, 0.9e-4), (0, 1.1e-4))
+    ]
+    vertices = np.array([*halves, [[0, -2, -2], [0, 2, -2], [0, 2, 2], [0, -2, 2]]], float).reshape(-1, 3)
+    faces = [[4 * k + corner for corner in corners] for k in range(3) for corners in ((0, 1, 2), (0, 2, 3))]
+    planes = find_planes(trimesh.Trimesh(vertices, faces, process=False))
+    assert [area_m2 for _, _, area_m2 in planes] == pytest.approx([24, 16])
+
+
 def test_curved_bodies_and_terrain_are_not_reflectors():
     assert find_planes(ball(0, 0, 0, 5.0).surface) == []
     rough = trimesh.creation.box((10, 10, 1)).subdivide().subdivide().subdivide()
