@@ -31,7 +31,8 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
     Raises
     ------
     Error
-        if it places more than MAX_BODIES geometries, has no scene, or a <lookat> or <skew> places geometry.
+        if it places more than MAX_BODIES geometries, has no scene, a <lookat> or <skew> places geometry, or a
+        polygon has holes.
     ValueError
         if it declares a document type, or is no XML.
     """
@@ -58,6 +59,7 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
         elif kind == "instance_controller":
             n_skinned += _replace_by_geometry(element, sources)
     _check_transforms(root, path)
+    _check_polygons(root, path)
     if (n_placed := _placed_geometries(root)) > MAX_BODIES:
         raise Error(
             f"{path}: a COLLADA file must place at most {MAX_BODIES} geometries (got {shown(n_placed)}; nodes that "
@@ -77,6 +79,17 @@ def _check_transforms(root, path: Path) -> None:
                 "place, as by exporting the scene with transforms as matrices)"
             )
         node.remove(element)
+
+
+def _check_polygons(root, path: Path) -> None:
+    """Raise an Error if a polygon has holes, since the parser leaves such a polygon out."""
+    holed = root.find(".//{*}geometry/{*}mesh/{*}polygons/{*}ph")
+    if holed is not None:
+        name = next(holed.iterancestors("{*}geometry")).get("id") or ""
+        raise Error(
+            f"{path}: geometry {name!r}: polygons must have no holes (got <ph>; triangulate the mesh in the program "
+            "that wrote it)"
+        )
 
 
 def _placed_geometries(root) -> int:

@@ -136,6 +136,16 @@ def test_transforms_that_are_not_read_are_refused_where_they_place_geometry(read
         read(geometries("g"), f'<node id="n" name="arm">{transform}{plain}</node>')
 
 
+def test_polygons_with_holes_are_refused(read):
+    """The parser reads the others alone, which may be none."""
+    holed = "<polygons count='1'><ph><p>0 1 2</p><h>0 1 2</h></ph></polygons></mesh>"
+    library, node = geometries("g").replace("</mesh>", holed), '<node><instance_geometry url="#g"/></node>'
+    with pytest.raises(
+        sg.Error, match=r"a\.dae: geometry 'g': polygons must have no holes \(got <ph>; triangulate"
+    ):
+        read(library, node)
+
+
 def test_a_file_without_a_scene_is_an_error_that_says_so(tmp_path):
     path = tmp_path / "a.dae"
     path.write_text(
