@@ -1,10 +1,12 @@
-"""Binary PLY files, made ready for trimesh, which takes all their faces to have as many corners as the first one."""
+"""PLY files, made ready for trimesh, which takes all faces of a binary one to have as many corners as the first one."""
 
 from __future__ import annotations
 
 import re
 
 import numpy as np
+
+from sonar_gl.core.errors import Error
 
 # names of a type in PLY -> NumPy's
 TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
@@ -19,8 +21,18 @@ def tidy_ply(data: bytes) -> bytes:
 
     Any other file stays as it is, also one that is broken: trimesh says what is wrong with it. What the file states of
     its faces but their corners, and what follows them, is left out.
+
+    Raises
+    ------
+    Error
+        if faces are strips, which trimesh leaves out.
     """
     header = HEADER.match(data)
+    if header and re.search(rb"\nelement +tristrips +0*[1-9]", header[0]):
+        raise Error(
+            "faces of a PLY file must be polygons of an element 'face' (got strips of triangles, tristrips; write the "
+            "mesh as triangles)"
+        )
     order = re.search(rb"\nformat +binary_(little|big)_endian", header[0]) if header else None
     if order is None:
         return data
