@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import signal
@@ -18,7 +19,7 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import STEPS, Batch
-from sonar_gl.core.errors import Error, MachineError, is_out_of_memory
+from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.warn import collected_warnings, warn_caller
 
@@ -82,6 +83,8 @@ def _describe_failure(why: BaseException, url: str, is_dry_run: bool) -> str:
         return str(why)
     if isinstance(why, OSError):
         cure = "set TMPDIR to another folder for temporary files" if is_dry_run else "continue with --resume"
+        if why.errno == errno.EMFILE:
+            cure = RAISE_FILE_LIMIT if is_dry_run else f"{RAISE_FILE_LIMIT}, and {cure}"
         return f"{why.filename or url}: {why.strerror or why}; {cure}"
     return f"a part could not be made:\n{''.join(traceback.format_exception(why))}"
 
