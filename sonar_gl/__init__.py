@@ -13,5 +13,6 @@ import lazy_loader
 from sonar_gl._version import __version__
 
 # A name of `__init__.pyi` loads its module when it is first used, so that `import sonar_gl` stays fast.
-__getattr__, __dir__, _lazy_names = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, _, _lazy_names = lazy_loader.attach_stub(__name__, __file__)
 __all__ = [*_lazy_names, "__version__"]
+__dir__ = __all__.copy  # that of lazy_loader leaves out the version

@@ -24,7 +24,9 @@ def pytest_sessionstart(session):
     is_complete = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.keyword
     is_kept = hasattr(config, "cache")  # not with `-p no:cacheprovider`
     options = config.option
-    runs_none = options.collectonly or options.showfixtures or options.show_fixtures_per_test or options.setupplan
+    runs_none = (
+        options.collectonly or options.showfixtures or options.show_fixtures_per_test or options.setupplan
+    )
     if is_complete and is_kept and not hasattr(config, "workerinput") and not runs_none:
         compile_kernels(config.cache, config.get_terminal_writer().line)
 

@@ -13,18 +13,9 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
-
 from sonar_gl.core.checks import is_finite
 from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.extras import missing_module
 from sonar_gl.core.names import matching_names
 from sonar_gl.core.poses import check_pose, pose
 from sonar_gl.core.toml import read_toml
@@ -33,6 +24,19 @@ from sonar_gl.imaging.styles import what_lacks_16_bits
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB
 from sonar_gl.sonar.sonar import MAX_BINS
+
+try:
+    from pydantic import (
+        AfterValidator,
+        BaseModel,
+        BeforeValidator,
+        ConfigDict,
+        Field,
+        ValidationError,
+        model_validator,
+    )
+except ModuleNotFoundError as why:
+    raise missing_module("batch", "batch", why) from None
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
 # errors of pydantic about the length of a list

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import signal
@@ -18,7 +19,7 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import STEPS, Batch
-from sonar_gl.core.errors import Error, MachineError, is_out_of_memory
+from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.warn import collected_warnings, warn_caller
 
@@ -36,7 +37,9 @@ NO_LEAK_WARNING = {"PYTHONWARNINGS": "ignore::UserWarning:multiprocessing.resour
 # ---- in the process that makes parts ----------------------------------------------------------------
 
 
-def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system: bool) -> None:
+def serve(
+    pipe: Connection, job: dict, url: str, device: int | None, any_system: bool, is_dry_run: bool
+) -> None:
     """Run the steps that come through a pipe until None comes or the pipe closes.
 
     In: the name of one of `parts.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
@@ -61,7 +64,7 @@ def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system:
                 name, *arguments = command
                 message = "result", STEPS[name](batch, *arguments, report=report)
             except BaseException as why:
-                message = "error", _describe_failure(why, url)
+                message = "error", _describe_failure(why, url, is_dry_run)
         try:
             for warning in found:
                 pipe.send(("of files", warning.text))
@@ -70,15 +73,19 @@ def serve(pipe: Connection, job: dict, url: str, device: int | None, any_system:
             return
 
 
-def _describe_failure(why: BaseException, url: str) -> str:
+def _describe_failure(why: BaseException, url: str, is_dry_run: bool) -> str:
     """Return the text of an error; only for a mistake in the code it is more than a sentence."""
     if is_out_of_memory(why):
-        cure = "have fewer --workers, or ask for fewer beams, bins or pixels, and continue with --resume"
+        again = "try again" if is_dry_run else "continue with --resume"
+        cure = f"have fewer --workers, or ask for fewer beams, bins or pixels, and {again}"
         return f"memory ran out ({why or type(why).__name__}); {cure}"
     if isinstance(why, Error):
         return str(why)
     if isinstance(why, OSError):
-        return f"{why.filename or url}: {why.strerror or why}; continue with --resume"
+        cure = "set TMPDIR to another folder for temporary files" if is_dry_run else "continue with --resume"
+        if why.errno == errno.EMFILE:
+            cure = RAISE_FILE_LIMIT if is_dry_run else f"{RAISE_FILE_LIMIT}, and {cure}"
+        return f"{why.filename or url}: {why.strerror or why}; {cure}"
     return f"a part could not be made:\n{''.join(traceback.format_exception(why))}"
 
 
@@ -150,7 +157,7 @@ class Process:
 
     Parameters
     ----------
-    arguments : job, url, device and any_system, as for `serve`
+    arguments : job, url, device, any_system and is_dry_run, as for `serve`
 
     Attributes
     ----------
@@ -224,6 +231,7 @@ class Pool:
     devices : index of the EGL device of each process, or None for the default
     warn : function that is given the text of a warning
     any_system : as for `Batch`
+    is_dry_run : whether the folder is a temporary one, of which errors do not say that it can be resumed
 
     Attributes
     ----------
@@ -238,8 +246,10 @@ class Pool:
         devices: list[int | None],
         warn: Callable[[str], None],
         any_system: bool = False,
+        is_dry_run: bool = False,
     ):
-        self._arguments = [(job, url, device, any_system) for device in devices]
+        self._arguments = [(job, url, device, any_system, is_dry_run) for device in devices]
+        self._again = "" if is_dry_run else " by --resume"
         self.processes: dict[int, Process] = {}
         self.warn, self.stopping = warn, False
 
@@ -275,7 +285,7 @@ class Pool:
                 self.warn(f"a process died in the step {name!r} ({ending}); another takes its place")
         raise MachineError(
             f"processes must live (the step {name!r} ended {MAX_DEATHS_IN_STEP} of them, the last by {ending}; "
-            "is memory short? 'sonar-gl doctor' may say why; try again by --resume)"
+            f"is memory short? 'sonar-gl doctor' may say why; try again{self._again})"
         )
 
     def run_parts(

@@ -264,7 +264,10 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     requests = BatchRequests(job)
     for text in requests.device_warnings():
         report(text)
-    with tempfile.TemporaryDirectory() as url, Pool(job.plain, url, devices, report) as pool:
+    with (
+        tempfile.TemporaryDirectory() as url,
+        Pool(job.plain, url, devices, report, is_dry_run=True) as pool,
+    ):
         manifest = pool.call("begin")
         manifest.save(Folder(url))
         pool.call("create")

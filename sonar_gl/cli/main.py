@@ -24,7 +24,7 @@ from sonar_gl._version import __version__
 from sonar_gl.cli.options import DEVICE, ENGINE, PING_OPTIONS, PathText, option, ping_options, scene_options
 from sonar_gl.cli.output import echo
 from sonar_gl.core.atomic_file import check_output_file
-from sonar_gl.core.errors import Error, MachineError
+from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError
 from sonar_gl.core.extras import missing_extra
 
 IMPORT_PAUSE_S = 0.05  # until a signal that came during an import is tried again
@@ -127,7 +127,8 @@ def _describe_os_error(why: OSError) -> str:
         )
     if why.filename is None and why.errno == errno.ENOENT:  # of `os.getcwd`
         return "the working directory must exist (it has been removed; change to another folder)"
-    return f"{why.filename or 'files'}: {reason}"
+    cure = f"; {RAISE_FILE_LIMIT}" if why.errno == errno.EMFILE else ""
+    return f"{why.filename or 'files'}: {reason}{cure}"
 
 
 def _one_line_warnings():

@@ -48,6 +48,7 @@ class MachineError(Error):
     """
 
 
+RAISE_FILE_LIMIT = "raise the limit of open files, as by 'ulimit -n 1024'"  # of an OSError with errno.EMFILE
 OUT_OF_MEMORY = ("cannot allocate memory", "can't start new thread", "insufficient memory")
 
 

@@ -27,6 +27,12 @@ def missing_extra(extra: str, why: str) -> Error:
     return Error(f"{why}; to add it: {install_command(extra)}")
 
 
+def missing_module(extra: str, what: str, why: ModuleNotFoundError) -> ModuleNotFoundError:
+    """Return the error for a module whose import failed with `why`, without an extra that `what` needs."""
+    text = f"{what} needs more packages (got no module {why.name})"
+    return ModuleNotFoundError(str(missing_extra(extra, text)), name=why.name)
+
+
 def install_command(extra: str) -> str:
     """Return the shell command that adds an extra to this installation.
 

@@ -31,7 +31,8 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
     Raises
     ------
     Error
-        if it places more than MAX_BODIES geometries, or has no scene.
+        if it places more than MAX_BODIES geometries, has no scene, a <lookat> or <skew> places geometry, or a
+        polygon has holes.
     ValueError
         if it declares a document type, or is no XML.
     """
@@ -57,12 +58,38 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
             element.getparent().remove(element)
         elif kind == "instance_controller":
             n_skinned += _replace_by_geometry(element, sources)
+    _check_transforms(root, path)
+    _check_polygons(root, path)
     if (n_placed := _placed_geometries(root)) > MAX_BODIES:
         raise Error(
             f"{path}: a COLLADA file must place at most {MAX_BODIES} geometries (got {shown(n_placed)}; nodes that "
             "hold others several times multiply them)"
         )
     return io.BytesIO(etree.tostring(root)), n_skinned
+
+
+def _check_transforms(root, path: Path) -> None:
+    """Raise an Error where <lookat> or <skew> places geometry, which the parser misreads; leave out others."""
+    for element in [*root.iterfind(".//{*}node/{*}lookat"), *root.iterfind(".//{*}node/{*}skew")]:
+        node, kind = element.getparent(), element.tag.rpartition("}")[2]
+        if next(node.iter("{*}instance_geometry", "{*}instance_node"), None) is not None:
+            name = node.get("name") or node.get("id") or ""
+            raise Error(
+                f"{path}: node {name!r}: <{kind}> is not supported where it places geometry (write a <matrix> in its "
+                "place, as by exporting the scene with transforms as matrices)"
+            )
+        node.remove(element)
+
+
+def _check_polygons(root, path: Path) -> None:
+    """Raise an Error if a polygon has holes, since the parser leaves such a polygon out."""
+    holed = root.find(".//{*}geometry/{*}mesh/{*}polygons/{*}ph")
+    if holed is not None:
+        name = next(holed.iterancestors("{*}geometry")).get("id") or ""
+        raise Error(
+            f"{path}: geometry {name!r}: polygons must have no holes (got <ph>; triangulate the mesh in the program "
+            "that wrote it)"
+        )
 
 
 def _placed_geometries(root) -> int:

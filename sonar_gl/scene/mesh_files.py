@@ -30,6 +30,7 @@ NO_HEIGHT_M = -9999.0  # stands for a gap in such a file, and so does less, as f
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
 # of text that is read in double precision: that single precision holds it, too, as whole metres, says nothing
 DECIMAL_SUFFIXES = (".obj",)
+STL_HEAD, STL_TRIANGLE = 84, 50  # bytes of a binary STL: the head ends with the number of triangles
 Y_UP_SUFFIXES = BUFFER_SUFFIXES = (".glb", ".gltf")
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
@@ -127,7 +128,12 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
                 file = io.BytesIO(tidy_obj(path.read_bytes()))
             scene = _load(file, file_type="obj", resolver=NoFiles(path))
         elif path.suffix.lower() == ".ply":
-            scene = _load(io.BytesIO(tidy_ply(path.read_bytes())), file_type="ply", resolver=NoFiles(path))
+            with errors_at(str(path)):
+                file = io.BytesIO(tidy_ply(path.read_bytes()))
+            scene = _load(file, file_type="ply", resolver=NoFiles(path))
+        elif path.suffix.lower() == ".stl" and (end := _end_of_binary_stl(path)):
+            file = io.BytesIO(path.read_bytes()[:end])
+            scene = _load(file, file_type="stl", resolver=NoFiles(path))
         else:
             scene = _load(path, resolver=NoFiles(path))
         return _read_parts(scene, path)
@@ -149,6 +155,21 @@ def _load(source, **options):
         return trimesh.load(
             source, force="scene", process=False, skip_materials=True, split_objects=True, **options
         )
+
+
+def _end_of_binary_stl(path: Path) -> int | None:
+    """Return where the triangles of a binary STL end, and warn, if bytes follow, for which trimesh refuses it.
+
+    In an STL of text, characters in the place of the number would state more triangles than any file has.
+    """
+    with open(path, "rb") as file:
+        head = file.read(STL_HEAD)
+    count, size = int.from_bytes(head[-4:], "little"), path.stat().st_size
+    end = STL_HEAD + STL_TRIANGLE * count
+    if count == 0 or size <= end:
+        return None
+    warn_caller(f"{path}: {size - end} bytes after the {count} triangles that the file states are left out")
+    return end
 
 
 def _load_collada(path: Path):

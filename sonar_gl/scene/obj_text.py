@@ -26,6 +26,8 @@ UNTIDY = tuple(
         rb"\nf(?: +[\d/]+){5}",
     )
 )
+# Lines of faces to other readers, which trimesh leaves out: of an outline, an older name of a face, and in upper case
+OTHER_FACES = re.compile(rb"\n(?:fo|F|FO) [^\r\n]*")
 COUNTED = b"v", b"vt", b"vn"  # what the corner of a face names, in the order of a/b/c
 # corners from which on a face may be concave; quadrilaterals stay as they are, since there are many
 POLYGON = 5
@@ -39,7 +41,7 @@ def tidy_obj(text: bytes) -> bytes:
     Raises
     ------
     Error
-        if a face names a vertex 0, or one that is counted back beyond the first.
+        if a face names a vertex 0, or one that is counted back beyond the first, or its line is not named f.
 
     >>> tidy_obj(b"\\tv 0 0 0\\n v 1 0 0\\nv\\t0 1 0\\nf -3 -2 -1\\nv 5 5 5")
     b'v 0 0 0\\nv 1 0 0\\nv 0 1 0\\nf 1 2 3\\nv 5 5 5'
@@ -51,6 +53,11 @@ def tidy_obj(text: bytes) -> bytes:
     parts = b"\n" + text[:200], text  # the first line has no other before it
     if any(pattern.search(part) for pattern in UNTIDY for part in parts):
         text = _tidy_lines(text)
+    if other := OTHER_FACES.search(text):
+        raise Error(
+            f"faces of an OBJ file must be lines that begin with 'f' (got {shown(other[0].decode('latin-1').strip())}; "
+            "write f in place of fo, and the names of all lines in lower case)"
+        )
     if not re.search(rb"(?m)^o ", text) and len(set(re.findall(rb"(?m)^g +\S[^\r\n]*", text))) > 1:
         text = re.sub(rb"(?m)^g ", b"o ", text)
     return text

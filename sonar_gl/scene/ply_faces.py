@@ -1,4 +1,8 @@
-"""Binary PLY files, made ready for trimesh, which takes the lists of all faces to be as long as those of the first."""
+"""PLY files, made ready for trimesh.
+
+It takes the lists of all faces of a binary file to be as long as those of the first. Of text, it fails at lists beside
+the corners, such as texture coordinates, where faces have several sizes or there is just one.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,8 @@ import re
 import struct
 
 import numpy as np
+
+from sonar_gl.core.errors import Error
 
 # names of a type in PLY -> NumPy's
 TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
@@ -18,10 +24,26 @@ INDICES = "vertex_indices", "vertex_index"
 def tidy_ply(data: bytes) -> bytes:
     """Return the same mesh; of triangles, each polygon a fan, if lists of faces differ in length in a binary file.
 
-    Any other file stays as it is, also one that is broken: trimesh says what is wrong with it. What the file states of
-    its faces but their corners, and what follows them, is left out.
+    Faces of text that have other lists beside their corners keep the corners alone. Any other file stays as it is, also
+    one that is broken: trimesh says what is wrong with it. What a binary file of several sizes states of its faces but
+    their corners, and what follows them, is left out.
+
+    Raises
+    ------
+    Error
+        if faces are strips, which trimesh leaves out.
     """
     header = HEADER.match(data)
+    if header and re.search(rb"\nelement +tristrips +0*[1-9]", header[0]):
+        raise Error(
+            "faces of a PLY file must be polygons of an element 'face' (got strips of triangles, tristrips; write the "
+            "mesh as triangles)"
+        )
+    if header and re.search(rb"\nformat +ascii", header[0]):
+        try:
+            return _with_corners_alone(data, header)
+        except (ValueError, IndexError):
+            return data
     order = re.search(rb"\nformat +binary_(little|big)_endian", header[0]) if header else None
     if order is None:
         return data
@@ -37,6 +59,43 @@ def tidy_ply(data: bytes) -> bytes:
     rows["n"], rows["corners"] = 3, triangles
     kept += b"element face %d\nproperty list uchar int vertex_indices\nend_header\n" % len(rows)
     return kept + data[header.end() : start] + rows.tobytes()
+
+
+def _with_corners_alone(data: bytes, header) -> bytes:
+    """Return a file of text, without what its faces state beside their corners if that holds lists.
+
+    Raises a ValueError or IndexError if there are no faces, or they end too soon.
+    """
+    elements, kept = [], []  # of elements: name, count, properties (name, whether it is a list)
+    for line in header[0].splitlines():
+        words = line.decode("latin-1").split()
+        if words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            elements[-1][2].append((words[-1], words[1] == "list"))
+            if elements[-1][0] == "face" and words[-1] not in INDICES:
+                continue
+        kept.append(line)
+    place = [name for name, _, _ in elements].index("face")
+    _, count, properties = elements[place]
+    if sum(is_list for _, is_list in properties) < 2:
+        return data
+    start, rows = sum(count for _, count, _ in elements[:place]), data[header.end() :].splitlines()
+    rows[start : start + count] = [
+        _corners_of_text(rows[start + k].split(), properties) for k in range(count)
+    ]
+    return b"\n".join([*kept, *rows, b""])
+
+
+def _corners_of_text(words: list[bytes], properties: list[tuple[str, bool]]) -> bytes:
+    """Return the corners in the words of a face, after their number."""
+    start = 0
+    for name, is_list in properties:
+        size = 1 + int(words[start]) if is_list else 1
+        if name in INDICES:
+            return b" ".join(words[start : start + size])
+        start += size
+    raise ValueError("no corners")
 
 
 def _faces(data: bytes, header, order: str) -> tuple[int, list, int, bytes]:

@@ -189,6 +189,15 @@ def test_a_ping_that_kills_two_processes_is_set_aside(job, expected, tmp_path):
     assert record["set_aside"] == {"6": "the process that made it died, 2 times"}
 
 
+def apart(disk: Path) -> tuple[str, ...]:
+    """Return the command that runs a script where it may mount a file system at a folder."""
+    found = "unshare", "--user", "--map-root-user", "--mount", "sh", "-c"
+    if shutil.which("unshare") is None or subprocess.run([*found, f"mount -t tmpfs tmpfs {disk}"]).returncode:
+        why = "a full disk is a file system mounted in a namespace of its own, which must be allowed"
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(why)
+    return found
+
+
 @pytest.mark.slow
 def test_a_batch_can_be_resumed_after_a_full_disk(job, expected, tmp_path):
     """On a file system of its own, which is too small at first."""
@@ -201,15 +210,27 @@ def test_a_batch_can_be_resumed_after_a_full_disk(job, expected, tmp_path):
         "$@" --out {disk}/out --resume; echo "status $?"
         cp -r {disk}/out {tmp_path}/out
     """
-    apart = "unshare", "--user", "--map-root-user", "--mount", "sh", "-c"
-    if shutil.which("unshare") is None or subprocess.run([*apart, f"mount -t tmpfs tmpfs {disk}"]).returncode:
-        why = "a full disk is a file system mounted in a namespace of its own, which must be allowed"
-        (pytest.fail if os.environ.get("CI") else pytest.skip)(why)
-    _, shown, err = finish(start(job, "--workers", "1", before=(*apart, script, "sh")))
+    _, shown, err = finish(start(job, "--workers", "1", before=(*apart(disk), script, "sh")))
     first, _, then = shown.partition("status 2\n")
     assert first == "" and then == f"{disk}/out: {N} of {N} pings\nstatus 0\n", (shown, err)
     assert "No space left on device" in err and "--resume" in err and "Traceback" not in err
     assert_same(files_of(tmp_path / "out"), expected)
+
+
+@pytest.mark.slow
+def test_a_dry_run_without_space_names_the_variable(job, tmp_path):
+    """It cannot be resumed."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    script = f'mount -t tmpfs -o size=16k tmpfs {disk}; TMPDIR={disk} "$@"'
+    status, shown, err = finish(
+        start(job, "--dry-run", "--workers", "1", before=(*apart(disk), script, "sh"))
+    )
+    assert (status, shown) == (2, "")
+    assert re.fullmatch(
+        rf"error: {disk}/\S+: No space left on device; set TMPDIR to another folder for temporary files\n",
+        err,
+    )
 
 
 @pytest.mark.slow
@@ -225,15 +246,16 @@ def test_a_process_that_dies_while_it_begins_is_replaced(job, expected, tmp_path
 
 
 @pytest.mark.slow
-def test_processes_that_die_again_and_again_are_no_mistake_of_the_user(job, tmp_path):
+@pytest.mark.parametrize(("option", "again"), [("--any-system", " by --resume"), ("--dry-run", "")])
+def test_processes_that_die_again_and_again_are_no_mistake_of_the_user(job, tmp_path, option, again):
     """Status 2 would tell a queue not to try again."""
     out, left = tmp_path / "out", tmp_path / "left"
     left.write_text("1000")
-    status, shown, err = finish(start(job, "--out", out, "--workers", "1", DEADLY_BEGINS=str(left)))
+    status, shown, err = finish(start(job, "--out", out, "--workers", "1", option, DEADLY_BEGINS=str(left)))
     assert (status, shown) == (4, "")
     assert err.splitlines()[-1] == (
         "error: processes must live (the step 'begin' ended 3 of them, the last by SIGKILL; is memory short? "
-        "'sonar-gl doctor' may say why; try again by --resume)"
+        f"'sonar-gl doctor' may say why; try again{again})"
     )
     assert "Traceback" not in err
 

@@ -694,6 +694,16 @@ def test_a_missing_folder_for_temporary_files_is_named(monkeypatch):
     )
 
 
+@pytest.mark.parametrize(("name", "where"), [(None, "files"), ("a.npz", "a.npz")])
+def test_the_limit_of_open_files_is_named(monkeypatch, name, where):
+    def refuse(*_):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE), name)
+
+    monkeypatch.setattr("sonar_gl.cli.listings.scenes_text", refuse)
+    cure = "raise the limit of open files, as by 'ulimit -n 1024'"
+    assert run("scenes") == (2, "", f"error: {where}: Too many open files; {cure}\n")
+
+
 def test_a_mistake_has_its_status_where_errors_cannot_be_written():
     with open("/dev/full", "w") as full:
         ran = python("-m", "sonar_gl", "batch", "nope.toml", capture_output=False, stderr=full)

@@ -11,6 +11,7 @@ import pytest
 
 import sonar_gl
 from sonar_gl.core import extras
+from tests.support.processes import python
 
 ROOT = Path(__file__).resolve().parents[2]
 PIP = f"{shlex.quote(sys.executable)} -m pip install"  # of this environment, not of the system
@@ -79,6 +80,23 @@ def test_the_command_leaves_out_what_is_not_for_this_machine(monkeypatch, marker
     entry = f"cyclonedds>=11.0.1; {marker.format(where=where)}"
     monkeypatch.setattr(extras, "requires", lambda name: [entry])
     assert extras.requirements("live") == [f"cyclonedds>=11.0.1; ({where})"]
+
+
+@pytest.mark.parametrize(
+    ("module", "missing"),
+    [("run", "fsspec.core"), ("job", "pydantic"), ("cluster", "zarr"), ("coco", "pycocotools")],
+)
+def test_modules_of_batches_name_their_extra(module, missing):
+    """As the command does; the class stays the one that says that a module is absent."""
+    code = f"""import sys
+sys.modules[{missing!r}] = None
+try:
+    import sonar_gl.batch.{module}
+except ModuleNotFoundError as why:
+    print(why.name, why)"""
+    needs = f"batch needs more packages (got no module {missing})"
+    shown = f"{missing} {needs}; to add it: {extras.install_command('batch')}"
+    assert python("-c", code).stdout == f"{shown}\n"
 
 
 def test_every_extra_has_requirements_in_the_metadata():

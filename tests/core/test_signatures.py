@@ -85,3 +85,7 @@ def test_names_that_load_late_are_in_a_stub(package):
     names = [name for node in stub.body if isinstance(node, ast.ImportFrom) for name in node.names]
     assert {name.name for name in names} == {*package.__all__} - {"__version__"}
     assert [name.asname for name in names] == [name.name for name in names]
+
+
+def test_dir_lists_all_public_names():
+    assert set(sg.__all__) <= set(dir(sg))

@@ -145,8 +145,11 @@ def published_meanwhile(transport, topic, message=None):
 
 
 @pytest.fixture(scope="session")
-def fast_dds_peer(request):
-    """Path of the compiled program of another vendor, which is the default of ROS 2; it is kept in pytest's cache."""
+def fast_dds_peer(request, tmp_path_factory):
+    """Path of the compiled program of another vendor, which is the default of ROS 2; it is kept in pytest's cache.
+
+    There is no cache with `-p no:cacheprovider`.
+    """
     if shutil.which("g++") is None or not Path("/usr/include/fastrtps").is_dir():
         why = (
             "the program of another vendor needs a compiler and Fast DDS: apt-get install g++ libfastrtps-dev"
@@ -154,7 +157,9 @@ def fast_dds_peer(request):
         (pytest.fail if os.environ.get("CI") else pytest.skip)(why)
     source, library = ROOT / "tests/support/fast_dds_peer.cpp", find_library("fastrtps")  # with its version
     digest = hashlib.sha256(source.read_bytes()).hexdigest()
-    program = request.config.cache.mkdir("fast_dds") / f"{library}_{digest[:16]}"
+    cache = getattr(request.config, "cache", None)
+    kept = tmp_path_factory.mktemp("fast_dds") if cache is None else cache.mkdir("fast_dds")
+    program = kept / f"{library}_{digest[:16]}"
     if not program.exists():
         with tempfile.TemporaryDirectory(dir=program.parent) as folder:  # another worker may compile, too
             compiled = Path(folder, "peer")

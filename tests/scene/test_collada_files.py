@@ -123,6 +123,29 @@ def test_nodes_that_multiply_one_another_are_refused_before_they_are_placed(read
         read(geometries("a") + chain(9), '<node><instance_node url="#n0"/></node>')
 
 
+@pytest.mark.parametrize("kind", ["lookat", "skew"])
+def test_transforms_that_are_not_read_are_refused_where_they_place_geometry(read, kind):
+    transform = f"<{kind}>{'30 1 0 0 0 1 0' if kind == 'skew' else '0 0 5 1 0 5 0 0 1'}</{kind}>"
+    plain, camera = (
+        '<node><instance_geometry url="#g"/></node>',
+        f'<node>{transform}<instance_camera url="#c"/></node>',
+    )
+    (bounds,), said = read(geometries("g"), plain, camera)
+    assert bounds.tolist() == [[0, 0, 0], [1, 2, 0]] and said == []
+    with pytest.raises(sg.Error, match=rf"a\.dae: node 'arm': <{kind}> is not supported .*write a <matrix>"):
+        read(geometries("g"), f'<node id="n" name="arm">{transform}{plain}</node>')
+
+
+def test_polygons_with_holes_are_refused(read):
+    """The parser reads the others alone, which may be none."""
+    holed = "<polygons count='1'><ph><p>0 1 2</p><h>0 1 2</h></ph></polygons></mesh>"
+    library, node = geometries("g").replace("</mesh>", holed), '<node><instance_geometry url="#g"/></node>'
+    with pytest.raises(
+        sg.Error, match=r"a\.dae: geometry 'g': polygons must have no holes \(got <ph>; triangulate"
+    ):
+        read(library, node)
+
+
 def test_a_file_without_a_scene_is_an_error_that_says_so(tmp_path):
     path = tmp_path / "a.dae"
     path.write_text(

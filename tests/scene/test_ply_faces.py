@@ -1,4 +1,4 @@
-"""Binary PLY files whose faces have different numbers of corners."""
+"""PLY files whose faces have different numbers of corners, or lists beside them."""
 
 import struct
 
@@ -81,3 +81,18 @@ def test_other_lists_of_faces_may_differ_in_length(tmp_path):
 )
 def test_other_files_and_broken_ones_stay_as_they_are(data):
     assert tidy_ply(data) == data
+
+
+@pytest.mark.parametrize("flag", ["", "property uchar flag\n"])
+@pytest.mark.parametrize("faces", [[QUAD], [TRIANGLE, QUAD], [QUAD, TRIANGLE]])
+def test_faces_of_text_may_have_a_second_list(tmp_path, faces, flag):
+    """Such as texture coordinates, which are no part of a shape."""
+    header = HEADER.replace("binary_{}_endian", "ascii") + f"element face {len(faces)}\n{flag}"
+    header += "property list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n"
+    rows = [(*([7] if flag else []), len(f), *f, 2 * len(f), *[0.5] * 2 * len(f)) for f in faces]
+    path = tmp_path / "a.ply"
+    path.write_text(header + "".join(" ".join(map(str, row)) + "\n" for row in [*POINTS, *rows]))
+    mesh = read_mesh(path).mesh
+    triangles = {frozenset((face[0], *face[k : k + 2])) for face in faces for k in range(1, len(face) - 1)}
+    assert {frozenset(face) for face in mesh.faces.tolist()} == triangles
+    np.testing.assert_array_equal(mesh.vertices, POINTS)

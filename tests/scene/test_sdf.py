@@ -1286,6 +1286,15 @@ def test_deep_nesting_and_bombs_of_includes(tmp_path, message, monkeypatch):
             "world/model[m]/pose: must be 6 finite numbers (got '0 0 0 0 0 nan')",
         ),
         (
+            model("<pose rotation_format='quat_wxyz'>0 0 0 1 0 0 0</pose>" + link()),
+            "world/model[m]/pose: rotation_format must be 'euler_rpy' or 'quat_xyzw' (got 'quat_wxyz')",
+        ),
+        (
+            model(link(shape=shape(geometry="<geometry><box size='2 4 6'/></geometry>"))),
+            "world/model[m]/link[link]/collision[c]/geometry/box: 'size' must be an element (got an attribute, as in "
+            "SDF 1.2; write <size>2 4 6</size>)",
+        ),
+        (
             model("<pose rotation_format='quat_xyzw'>0 0 0 0 0 0 0</pose>" + link()),
             "world/model[m]/pose: a quaternion must not be zero (got '0 0 0 0 0 0 0')",
         ),

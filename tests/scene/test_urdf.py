@@ -60,6 +60,18 @@ def test_links_are_bodies_at_the_zero_of_their_joints(tmp_path):
         np.testing.assert_allclose(found[name], bounds, atol=ROUNDING)
 
 
+@pytest.mark.parametrize("element", ["joint", "collision"])
+def test_origins_may_hold_quaternions(tmp_path, element):
+    """As in URDF 1.2: x y z w, of any length."""
+    turned = '<origin xyz="1 0 6" quat_xyzw="0 2 0 2"/>'  # a quarter about y
+    text = ARM.replace('<origin xyz="1 0 6" rpy="0 1.5707963267948966 0"/>', turned)
+    if element == "collision":
+        text = f"<robot name='r'><link name='elbow'><collision>{turned}{BOX}</collision></link></robot>"
+    scene, _ = load(write(tmp_path / "r.urdf", text.format("")))
+    expected = {"joint": [[0.5, -0.1, 5.9], [1.5, 0.1, 6.1]], "collision": [[-2, -2, 5], [4, 2, 7]]}[element]
+    np.testing.assert_allclose(boxes_of(scene)["elbow"], expected, atol=ROUNDING)
+
+
 def test_collisions_are_taken_before_visuals_and_surfaces_from_gazebo_blocks(tmp_path):
     text = f"""<robot name="r">
       <link name="a"><visual><geometry><sphere radius="9"/></geometry></visual><collision>{BOX}</collision></link>
@@ -119,6 +131,14 @@ def test_a_robot_can_be_included_in_a_world(tmp_path):
             "link[elbow]/visual[0]/geometry/cylinder: must have the",
         ),
         (ARM.replace('xyz="0 0 1"', 'xyz="0 0"').format(""), "link[hand]/pose: must be 6 finite numbers"),
+        (
+            ARM.replace('<origin xyz="0 0 1"/>', '<origin quat_xyzw="0 0 1"/>').format(""),
+            "link[hand]/pose: must be 7 finite numbers (got '0 0 0 0 0 1')",
+        ),
+        (
+            ARM.replace('<origin xyz="0 0 1"/>', '<origin rpy="0 0 1" quat_xyzw="0 0 0 1"/>').format(""),
+            "joint[j2]/origin: must have rpy or quat_xyzw (got both)",
+        ),
         (ARM.replace("sphere", "torus").format(""), "collision[0]/geometry/torus: unknown geometry"),
         (ARM.format("<link name='hand'/>"), "names must be unique (got 'hand' twice)"),
         (

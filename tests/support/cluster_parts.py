@@ -4,6 +4,9 @@ import os
 import resource
 import signal
 import time
+from contextlib import suppress
+
+from sonar_gl.batch import cluster
 
 
 def count(folder, part):
@@ -29,6 +32,29 @@ def deadly(folder, part):
     if part == 3:
         os.kill(os.getpid(), signal.SIGKILL)
     return found
+
+
+def die_at_parts(begun, made):
+    """Have this worker kill itself as it begins a part of a batch, or has made one, unless another worker has.
+
+    Parameters
+    ----------
+    begun, made : number of the part, and the file that the worker leaves
+    """
+    make = cluster.make_part
+
+    def die_once(part, at, file):
+        if part == at:
+            with suppress(FileExistsError), open(file, "x"):
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    def make_part(batch, part):
+        die_once(part, *begun)
+        record = make(batch, part)
+        die_once(part, *made)
+        return record
+
+    cluster.make_part = make_part
 
 
 def failing(part):

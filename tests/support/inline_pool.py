@@ -11,7 +11,7 @@ from sonar_gl.batch.parts import STEPS, Batch
 class InlinePool:
     """Runs steps where it is; parameters as for `Pool`."""
 
-    def __init__(self, job, url, devices, warn, any_system=False):
+    def __init__(self, job, url, devices, warn, any_system=False, is_dry_run=False):
         self.batch, self.stopping = Batch(Job(**job), Folder(url), devices[0], any_system), False
 
     def __enter__(self):

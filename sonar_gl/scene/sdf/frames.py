@@ -42,7 +42,12 @@ def read_pose(element, location: str, large_angles: dict | None = None) -> np.nd
     """
     if element is None or not (element.text or "").strip():
         return np.eye(4)
-    if element.get("rotation_format", "euler_rpy") == "quat_xyzw":
+    rotation_format = element.get("rotation_format") or "euler_rpy"
+    if rotation_format not in ("euler_rpy", "quat_xyzw"):
+        raise Error(
+            f"{location}: rotation_format must be 'euler_rpy' or 'quat_xyzw' (got {shown(rotation_format)})"
+        )
+    if rotation_format == "quat_xyzw":
         values = read_numbers(element, location, 7)
         length = np.linalg.norm(values[3:])
         if length < 1e-6:

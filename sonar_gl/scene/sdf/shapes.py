@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.core.checks import check_number
-from sonar_gl.core.errors import Error, errors_at, similar_names
+from sonar_gl.core.errors import Error, errors_at, one_line, similar_names
 from sonar_gl.scene import mesh_files, primitives
 from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
 from sonar_gl.scene.materials import material
@@ -293,8 +293,14 @@ class BodyReader:
         return None if mesh is None else primitives.transform(mesh, np.diag([*scale, 1.0]))
 
     def _note_misspelt(self, shape, location: str) -> None:
-        """Note tags of a shape that are similar to a size of it that is absent."""
+        """Note tags of a shape that are similar to a size of it that is absent; refuse one that is an attribute."""
         absent = [tag for tag in SIZES.get(shape.tag, ()) if shape.find(tag) is None]
+        for tag in absent:
+            if shape.get(tag) is not None:
+                raise Error(
+                    f"{location}: {tag!r} must be an element (got an attribute, as in SDF 1.2; write "
+                    f"<{tag}>{one_line(shape.get(tag))}</{tag}>)"
+                )
         for child in shape:
             known = not isinstance(child.tag, str) or child.tag in SIZES.get(shape.tag, ())
             hint = "" if known else similar_names(child.tag, absent)

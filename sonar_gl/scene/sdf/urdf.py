@@ -29,7 +29,8 @@ def model_of(robot, location: str):
     Raises
     ------
     Error
-        if there are no links, a link has two parents or is unknown, or a geometry lacks a size.
+        if there are no links, a link has two parents or is unknown, a geometry lacks a size, or an
+        origin has two rotations.
 
     Notes
     -----
@@ -58,9 +59,10 @@ def model_of(robot, location: str):
         if (joint := joints.get(name)) is not None:
             parent = joint.find("parent")
             parent = "" if parent is None else (parent.get("link") or "").strip()
+            where = f"{location}: joint[{joint.get('name') or ''}]"
             if parent not in links:
-                raise Error(f"{location}: joint[{joint.get('name') or ''}]: unknown link (got {parent!r})")
-            _add_pose(converted, joint, relative_to=parent)
+                raise Error(f"{where}: unknown link (got {parent!r})")
+            _add_pose(converted, joint, where, relative_to=parent)
         if link.find("inertial") is not None:
             _add(converted, "inertial")
         for kind in ("collision", "visual"):
@@ -97,17 +99,21 @@ def _add(parent, tag: str, text: str | None = None, **attributes: str):
     return child
 
 
-def _add_pose(converted, element, **attributes: str) -> None:
-    """Add the `<pose>` of an element that may have an `<origin>`."""
-    origin = element.find("origin")
-    xyz, rpy = ("0 0 0" if origin is None else origin.get(key) or "0 0 0" for key in ("xyz", "rpy"))
-    _add(converted, "pose", f"{xyz} {rpy}", **attributes)
+def _add_pose(converted, element, location: str, **attributes: str) -> None:
+    """Add the `<pose>` of an element that may have an `<origin>`, with a quaternion as in URDF 1.2 or without."""
+    origin = {} if (found := element.find("origin")) is None else found.attrib
+    xyz, rotation = origin.get("xyz") or "0 0 0", origin.get("rpy") or "0 0 0"
+    if origin.get("quat_xyzw"):
+        if origin.get("rpy"):
+            raise Error(f"{location}/origin: must have rpy or quat_xyzw (got both)")
+        rotation, attributes["rotation_format"] = origin["quat_xyzw"], "quat_xyzw"
+    _add(converted, "pose", f"{xyz} {rotation}", **attributes)
 
 
 def _add_shape(link, shape, location: str) -> None:
     """Add a collision or visual of URDF to a link of SDF."""
     converted = _add(link, shape.tag, name=location.rpartition("[")[2][:-1])
-    _add_pose(converted, shape)
+    _add_pose(converted, shape, location)
     geometry = _add(converted, "geometry")
     for form in [] if shape.find("geometry") is None else shape.find("geometry"):
         if not isinstance(form.tag, str):  # a comment
