@@ -196,6 +196,7 @@ def test_json_holds_the_same_and_more():
     assert (found["worst_body"], found["worst_body_error"]) == (worst["name"], pytest.approx(worst["error"]))
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_is_not_kept_has_status_1(monkeypatch):
     monkeypatch.setattr(judge.Verification, "kept", property(lambda self: False))
     status, out, _ = run("tank.sdf", "--sonar", "small.toml", "--tolerance", 0.2, "--height", 60)

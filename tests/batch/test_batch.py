@@ -180,6 +180,7 @@ def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, r
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
 
 
+@pytest.mark.slow
 def test_units_of_arrays_are_those_that_cf_conventions_know(small):
     """Readers of units, as pint-xarray, refuse the whole set for the sake of one that is none."""
     data = xr.open_dataset(small / "out" / "pings.zarr", group="level", decode_cf=False)
@@ -432,6 +433,7 @@ def test_random_views_differ_from_table_to_table_and_are_the_same_in_every_scene
     assert np.array_equal(stated[0], alone[0]) and np.array_equal(stated[1], alone[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("low", "high"), [(2, 5), (1, 2), (3, 3)])
 def test_varied_looks_are_whole_numbers_each_equally_probable(small, low, high):
     """Of 600 draws each of n numbers has 600 / n, but for four standard deviations."""
@@ -535,6 +537,7 @@ def test_parts_in_any_order_by_any_process_have_the_same_bytes(hard, tmp_path):
     assert (found.error_estimate <= 0.01).all() and len(set(found.error_estimate.values.tolist())) > 2
 
 
+@pytest.mark.slow
 def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
     status, shown, _ = run("batch", hard, "--dry-run", "--workers", "9")
     lines = shown.splitlines()

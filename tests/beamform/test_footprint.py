@@ -103,7 +103,7 @@ def test_a_slanted_footprint_is_denser_at_one_end(s, a, b, slant):
     assert np.abs(even - want).sum() > 0.15 * want.sum()
 
 
-@pytest.mark.parametrize("slant", [-1.0, 1.0])
+@pytest.mark.parametrize("slant", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_slanted_bins_lie_between_none_and_twice_even_ones(slant):
     """At the end without density rounding made some negative, and noise took the root: a bin without a number."""
     rng, n = np.random.default_rng(0), 700

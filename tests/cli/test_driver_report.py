@@ -29,6 +29,7 @@ def report(monkeypatch, tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_the_report_holds_driver_noise_and_times(report):
     result, found = report()
     assert result.exit_code == 0 and "wrote " in result.output

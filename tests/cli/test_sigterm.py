@@ -74,7 +74,10 @@ def test_a_signal_within_an_import_is_not_lost(number, unhandled, monkeypatch, t
     assert not unhandled
 
 
-@pytest.mark.parametrize(("ignored", "expected"), [(False, (130, [])), (True, (0, ["pylon.mp4"]))])
+@pytest.mark.parametrize(
+    ("ignored", "expected"),
+    [(False, (130, [])), pytest.param(True, (0, ["pylon.mp4"]), marks=pytest.mark.slow)],
+)
 def test_a_closed_terminal_leaves_no_half_written_film(ignored, expected, tmp_path):
     """SIGHUP killed the command, which left the film under a hidden name; nohup has the signal ignored."""
     code = """

@@ -102,7 +102,8 @@ def run_script(system, folder, text, status=0):
     return run_on(system, script, status=status)
 
 
-@pytest.mark.parametrize("system", ["macos", pytest.param("windows", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@every_system
 def test_a_ping_is_drawn_by_the_cpu_and_saved(system, tmp_path):
     run_on(system, "sonar-gl", "render", "pylon", "--format", "png", "--format", "npz", "--out", tmp_path)
     assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".npz"}

@@ -82,6 +82,7 @@ def test_the_command_leaves_out_what_is_not_for_this_machine(monkeypatch, marker
     assert extras.requirements("live") == [f"cyclonedds>=11.0.1; ({where})"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "missing"),
     [("run", "fsspec.core"), ("job", "pydantic"), ("cluster", "zarr"), ("coco", "pycocotools")],

@@ -391,6 +391,7 @@ VARIED_MEDIA = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error::UserWarning")
 @pytest.mark.parametrize(
     ("vary", "has_labels"),

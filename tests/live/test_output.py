@@ -54,7 +54,10 @@ CHANGES = [
 ]
 
 
-@pytest.mark.parametrize("changes", CHANGES)
+@pytest.mark.parametrize(
+    "changes",
+    [*CHANGES[1:3], *(pytest.param(one, marks=pytest.mark.slow) for one in (CHANGES[0], *CHANGES[3:]))],
+)
 def test_the_command_line_makes_the_saved_picture(session, tmp_path, changes):
     session.change(**changes)
     frame = session.next_frame()

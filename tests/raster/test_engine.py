@@ -124,6 +124,7 @@ with sg.Simulator(scene, sg.load_sonar("p900-45"), tolerance=0.05) as it:
 """
 
 
+@pytest.mark.slow
 def test_pings_need_no_opengl(monkeypatch):
     """Neither a library of the system nor a package."""
     monkeypatch.setenv("SONAR_GL_ENGINE", "cpu")

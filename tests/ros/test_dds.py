@@ -228,7 +228,7 @@ def transforms(n):
     [
         (PROJECTED, projected_image(3, n_beams=32, n_bins=65)),
         pytest.param(PROJECTED, projected_image(4, n_beams=1, n_bins=1), marks=pytest.mark.slow),
-        ("tf2_msgs/msg/TFMessage", transforms(5)),
+        pytest.param("tf2_msgs/msg/TFMessage", transforms(5), marks=pytest.mark.slow),
         pytest.param("tf2_msgs/msg/TFMessage", transforms(0), marks=pytest.mark.slow),
         ("std_msgs/msg/Header", header(12, "Fächer, in UTF-8")),
     ],
@@ -595,7 +595,8 @@ def fuzzed(dice, message: bytes) -> bytes:
     return bytes(changed)
 
 
-@pytest.mark.parametrize("n", [100, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [100, 100_000])
 def test_wrong_messages_of_another_vendor_do_no_harm(
     open_transport, domain, name, fast_dds_peer, tmp_path, n
 ):

@@ -185,9 +185,10 @@ def test_the_error_without_the_extra_says_how_to_add_it(monkeypatch):
 # ---- loopback -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "type_hashes",
-    [pytest.param(True, id="jazzy"), pytest.param(False, id="humble", marks=pytest.mark.slow)],
+    [pytest.param(True, id="jazzy"), pytest.param(False, id="humble")],
 )
 def test_another_program_receives_pings(port, router, transports, type_hashes):
     topic, (ping, message) = sonar_topic(), ping_message(64, 300)
