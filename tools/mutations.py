@@ -1269,7 +1269,7 @@ MUTATIONS = (
         COUNTS,
     ),
     Mutation(
-        "counts/bins without echo", "sample = sample[sample > 0]", "sample = sample[sample >= 0]", COUNTS
+        "counts/bins without echo", "np.count_nonzero(flat > 0)", "np.count_nonzero(flat >= 0)", COUNTS
     ),
     Mutation("counts/bins of all beams", "math.gcd(step, intensity.shape[-1]) > 1", "False", COUNTS),
     Mutation("counts/one kind of gain", "{**reset, **values}", "values", COUNTS),
