@@ -1271,7 +1271,6 @@ MUTATIONS = (
     Mutation(
         "counts/bins without echo", "np.count_nonzero(flat > 0)", "np.count_nonzero(flat >= 0)", COUNTS
     ),
-    Mutation("counts/bins of all beams", "math.gcd(step, intensity.shape[-1]) > 1", "False", COUNTS),
     Mutation("counts/one kind of gain", "{**reset, **values}", "values", COUNTS),
     Mutation(
         "counts/gain of the averaged bins",
