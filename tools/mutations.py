@@ -1268,9 +1268,7 @@ MUTATIONS = (
         "np.float32(self.full_scale)",
         COUNTS,
     ),
-    Mutation(
-        "counts/bins without echo", "np.count_nonzero(flat > 0)", "np.count_nonzero(flat >= 0)", COUNTS
-    ),
+    Mutation("counts/bins without echo", "np.count_nonzero(flat > 0)", "np.count_nonzero(flat >= 0)", COUNTS),
     Mutation("counts/one kind of gain", "{**reset, **values}", "values", COUNTS),
     Mutation(
         "counts/gain of the averaged bins",
