@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import tempfile
 import threading
@@ -27,6 +26,7 @@ from sonar_gl.batch.manifest import (
 from sonar_gl.batch.parts import Batch, HardView
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
+from sonar_gl.core.cores import count_cores
 from sonar_gl.core.errors import Error, some_names
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.extent import millimetres_text
@@ -78,19 +78,12 @@ class Outcome:
 def devices_of(workers: int | None, devices) -> list[int | None]:
     """Return the EGL device of each process.
 
-    workers : number of processes; None is one for each core
+    workers : number of processes; None is one for each core that this process may use
     devices : devices that the processes take in turn; empty for the default device
     """
     devices = list(devices) or [None]
-    count = workers or max(_count_cores(), len(devices))
+    count = workers or max(count_cores(), len(devices))
     return [devices[k % len(devices)] for k in range(count)]
-
-
-def _count_cores() -> int:
-    """Return how many cores this process may use; all of the machine where the system does not tell."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

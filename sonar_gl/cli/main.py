@@ -300,7 +300,10 @@ Ctrl-C.
     "--check", type=PathText(), metavar="DIR", help="Compare the files of a batch with their checksums."
 )
 @click.option(
-    "--workers", type=click.IntRange(1, 4096), show_default="one for each core", help="Number of processes."
+    "--workers",
+    type=click.IntRange(1, 4096),
+    show_default="one for each core that it may use",
+    help="Number of processes.",
 )
 @option("engine", **ENGINE)
 @click.option(
