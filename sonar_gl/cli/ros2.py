@@ -53,6 +53,9 @@ def ros2(scene_name: str, options, given: set[str]) -> str:
         )
     scene = scene_from(scene_name, options)
     track = None if settings.pose_from is not None else PoseTrack(*poses_from(options, scene)[::-1])
+    if (options.pose, options.poses) == (None, None):
+        # the publisher has the scene's pose, which is the sonar's, where options state that of a vehicle
+        track = None
     sonar = sonar_from(options, scene)
     if options.counts is not None:
         sonar = replace(sonar, counts=sonar.counts.parse_changes("--counts", options.counts))

@@ -260,7 +260,8 @@ def covered_fraction(sonar: Sonar, cameras, are_cones: bool = False) -> float:
 
     are_cones : whether beams are cones, which lie further aside than the azimuths at which they are shown
     """
-    azimuth = np.radians(sonar.azimuth_fov_deg) * ((np.arange(512) + 0.5) / 512 - 0.5)
+    low, high = sonar.fan_edges_rad
+    azimuth = low + (high - low) * (np.arange(512) + 0.5) / 512
     sine = math.sin(math.radians(sonar.elevation_fov_deg) / 2) * ((np.arange(128) + 0.5) / 64 - 1)[:, None]
     level = np.sqrt(1 - sine * sine)
     up = np.broadcast_to(sine, (128, 512))

@@ -63,13 +63,15 @@ class CameraRig:
         if sonar.tilt_deg:
             cameras = [camera.seen_from_head(sonar) for camera in cameras]
         covered = covered_fraction(sonar, cameras, are_cones)
-        half_deg = sonar.azimuth_fov_deg / 2
+        edges = sonar.fan_edges_rad
         if are_cones:
-            half, top = math.radians(half_deg), math.radians(sonar.elevation_fov_deg) / 2
-            half_deg = math.degrees(azimuths_of_cones(-half, half, top)[1])
+            edges = azimuths_of_cones(*edges, math.radians(sonar.elevation_fov_deg) / 2)
+        low_deg, high_deg = np.degrees(edges).tolist()
+        is_even = math.isclose(-low_deg, high_deg)
+        azimuths = f"within ±{high_deg:.4g}°" if is_even else f"from {low_deg:.4g}° to {high_deg:.4g}°"
         tilted = f" of a head tilted {sonar.tilt_deg:g}° down" if sonar.tilt_deg else ""
         needed = (
-            f"azimuths within ±{half_deg:.4g}° and elevations within "
+            f"azimuths {azimuths} and elevations within "
             f"±{sonar.elevation_fov_deg / 2:g}°{tilted} are needed, which the cameras of Camera.covering(sonar) see"
         )
         if covered == 0:

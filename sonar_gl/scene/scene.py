@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonar_gl.core.checks import ArraysStayReadOnly, check_kind, check_number, frozen_array
+from sonar_gl.core.checks import ArraysStayReadOnly, check_kind, check_number, frozen_array, shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.names import matching_names
 from sonar_gl.core.poses import MAX_POSITION_M, check_pose
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.primitives import Shape, Triangles, transform
@@ -160,6 +161,7 @@ class Body(ArraysStayReadOnly):
         if faces.min() < 0 or faces.max() >= len(vertices):
             got = faces.min() if faces.min() < 0 else faces.max()
             raise Error(f"{location}: faces must name vertices 0..{len(vertices) - 1} (got {got})")
+        _warn_of_unit(self.surface)
         return len(vertices), len(faces)
 
     def _apply_material(self, location: str):
@@ -185,6 +187,27 @@ class Body(ArraysStayReadOnly):
                 self._set(key, default if value is None else value)
 
 
+def _warn_of_unit(mesh) -> None:
+    """Warn of a mesh of trimesh that states another unit than metres.
+
+    It is not converted: trimesh keeps the statement when a mesh is scaled by hand.
+    """
+    unit = getattr(mesh, "units", None)
+    if not isinstance(unit, str):
+        return
+    from trimesh.units import unit_conversion  # loaded already, by who made the mesh
+
+    try:
+        length_m = unit_conversion(unit, "m")
+    except (ValueError, KeyError):  # of no unit of length
+        length_m = None
+    if length_m is None or not np.isclose(length_m, 1.0):
+        warn_caller(
+            f"a mesh states the unit {shown(unit)}, and its coordinates are taken as metres (convert it, by trimesh's "
+            "convert_units('m') of mesh or scene; if it is in metres, set mesh.units = 'm')"
+        )
+
+
 def body_at(name: str, shape: Shape, world_from_body) -> Body:
     """Return a body at an affine (4, 4) transform; scale, shear and mirroring go into the vertices."""
     pose = np.array(world_from_body, np.float64)
@@ -192,6 +215,7 @@ def body_at(name: str, shape: Shape, world_from_body) -> Body:
     if not np.allclose(linear @ linear.T, np.eye(3), atol=1e-6) or np.linalg.det(linear) < 0:
         matrix = np.eye(4)
         matrix[:3, :3], pose[:3, :3] = linear, np.eye(3)
+        _warn_of_unit(shape.mesh)  # which the transformed one does not state
         shape = transform(shape, matrix)
     return Body(name, shape.mesh, pose, normals=shape.normals)
 

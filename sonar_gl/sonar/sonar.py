@@ -305,6 +305,23 @@ class Sonar:
         return np.radians(self.azimuth_fov_deg * ((np.arange(self.n_beams) + 0.5) / self.n_beams - 0.5))
 
     @property
+    def fan_edges_rad(self) -> tuple[float, float]:
+        """Edges of what the beams image, radians, starboard first: those of the field of view.
+
+        A table of azimuths may lie aside in that; its edges are half a spacing outside the outer beams, of a single
+        beam half its width.
+
+        >>> [round(math.degrees(edge), 3) for edge in load_sonar("p900-45").fan_edges_rad]
+        [-22.5, 22.5]
+        """
+        half = math.radians(self.azimuth_fov_deg) / 2
+        if self.beam_azimuths_deg is None:
+            return -half, half
+        azimuth = self.azimuth_rad
+        spacing = np.diff(azimuth) if self.n_beams > 1 else np.radians([self.beam_width_deg])
+        return max(-half, float(azimuth[0] - spacing[0] / 2)), min(half, float(azimuth[-1] + spacing[-1] / 2))
+
+    @property
     def is_straight_array(self) -> bool:
         """Whether one straight array forms all beams, as `beam_spacing` "sine" or `steered` "straight" say.
 

@@ -141,6 +141,23 @@ def test_the_file_sets_options_and_topics_and_the_command_line_comes_first(trans
     )
 
 
+@pytest.mark.parametrize("words", [(), ("--pose", "1 2 -3 0 0 0.5")])
+def test_the_scene_places_the_sonar_and_the_option_the_vehicle_that_carries_it(transports, tmp_path, words):
+    mount = [0.5, 0.1, -0.2, 0.1, 0.2, 0.3]
+    (tmp_path / "rov.toml").write_text(f'vehicle_frame = "base_link"\nmount = {mount}\n')
+    quick = "pylon", *FAST, "--duration", "0.3", "--rate", "20", "--config", str(tmp_path / "rov.toml")
+    found = run(*quick, *words)
+    assert found.exit_code == 0, found.output
+    transport = transports["DdsTransport"]
+    (link,) = transport.messages("/tf")[0].transforms
+    vehicle = sg.pose(1, 2, -3, yaw=0.5)
+    if not words:
+        vehicle = sg.load_scene("pylon").sonar_pose @ np.linalg.inv(sg.pose(*mount))
+    assert link.child_frame_id == "base_link"
+    at = link.transform.translation
+    assert (at.x, at.y, at.z) == pytest.approx(tuple(vehicle[:3, 3]))
+
+
 def test_counts_are_those_of_the_option_else_of_the_file(transports, tmp_path):
     (tmp_path / "deep.toml").write_text('counts = "bits=16"\n')
     quick = "pylon", *FAST, "--duration", "0.3", "--rate", "20", "--config", str(tmp_path / "deep.toml")

@@ -154,6 +154,15 @@ def test_cameras_for_the_cones_of_a_straight_array_see_what_it_shows_at_the_edge
     assert covered_fraction(sonar, wide, are_cones=True) == 1.0
 
 
+def test_a_fan_that_lies_aside_is_covered_by_its_own_cameras():
+    """Such as a ray sensor of SDF that scans to one side; the field of view reaches as far to the other."""
+    azimuths = tuple(np.linspace(-10, 40, 101))
+    sonar = replace(sg.load_sonar("p900-45"), n_beams=101, beam_azimuths_deg=azimuths, azimuth_fov_deg=81.0)
+    cameras = sg.Camera.covering(sonar, sg.Acoustics.ideal(), pixel_deg=0.2)
+    assert covered_fraction(sonar, cameras) == 1.0
+    assert covered_fraction(sonar, sg.Camera.covering(sg.load_sonar("p900-45"), pixel_deg=0.2)) < 0.8
+
+
 def test_pixel_size_in_azimuth_and_elevation():
     upright = sg.Camera.of_fov(200, 100, math.radians(60), math.radians(20))
     across, up = upright.pixel_rad()

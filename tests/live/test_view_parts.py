@@ -107,6 +107,15 @@ def test_outline_is_that_of_the_fan():
         assert got.max() == pytest.approx(max(edges), abs=1e-5)
 
 
+def test_outline_of_a_fan_that_lies_aside_ends_with_its_beams():
+    """Such as a ray sensor of SDF that scans to one side; the field of view reaches as far to the other."""
+    azimuths = tuple(np.linspace(-9.5, 39.5, 50))
+    aside = replace(SONAR, n_beams=50, beam_azimuths_deg=azimuths, azimuth_fov_deg=80.0)
+    for lines in (fan_outline(aside), fan_arcs(aside, 2.0)):
+        found = np.degrees(np.arctan2(lines[..., 1], lines[..., 0]))
+        assert (found.min(), found.max()) == pytest.approx((-10, 40), abs=1e-3)
+
+
 def test_outline_tilts_with_the_head():
     tilted = Sonar("made", 900e3, 64, 100, 60.0, 20.0, 1.0, 1.0, 10.0, tilt_deg=25.0)
     expected = fan_outline(SONAR) @ pose(pitch=math.radians(25.0))[:3, :3].T

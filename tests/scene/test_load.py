@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -273,6 +274,29 @@ def test_a_trimesh_is_a_flat_body():
     (body,) = scene.bodies
     assert (scene.name, body.name, body.reflectivity, body.normals) == ("scene", "mesh", 0.5, None)
     np.testing.assert_array_equal(body.mesh.vertices, ball.vertices)
+
+
+@pytest.mark.parametrize("unit", ["mm", "inches", "0.0254 * meters", "furlongz"])
+def test_a_mesh_of_another_unit_than_metres_gives_a_warning(unit):
+    """It is not converted, since trimesh keeps the unit when the mesh is scaled by hand."""
+    mesh = trimesh.creation.box((100, 100, 100))
+    mesh.units = unit
+    rigid, scaled = trimesh.Scene([mesh]), trimesh.Scene()
+    scaled.add_geometry(mesh, transform=np.diag([2.0, 2.0, 2.0, 1.0]))
+    for make in (lambda: sg.Body("box", mesh), *(partial(load_scene, one) for one in (mesh, rigid, scaled))):
+        with pytest.warns(UserWarning, match="coordinates are taken as metres") as found:
+            make()
+        assert len(found) == 1 and f"'{unit}'" in str(found[0].message)
+
+
+@pytest.mark.parametrize("unit", [None, "m", "meters", "1.0 * meters"])
+def test_a_mesh_in_metres_gives_no_warning(unit):
+    mesh = trimesh.creation.box()
+    if unit is not None:
+        mesh.units = unit
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_scene(trimesh.Scene([mesh]))
 
 
 def test_a_trimesh_scene_keeps_coordinates_and_applies_scale_to_vertices():

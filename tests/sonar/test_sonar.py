@@ -140,6 +140,16 @@ def test_oculus_bearings_are_those_of_a_device():
     np.testing.assert_allclose(np.degrees(sonar.azimuth_rad)[::32], measured, rtol=0, atol=0.01)
 
 
+@pytest.mark.parametrize(
+    ("azimuths_deg", "edges_deg"),
+    [(None, (-30, 30)), ((-10, 0, 20), (-15, 30)), ((-30, -10), (-30, 0)), ((5,), (4, 6))],
+)
+def test_edges_of_what_the_beams_image(azimuths_deg, edges_deg):
+    n_beams = 8 if azimuths_deg is None else len(azimuths_deg)
+    sonar = Sonar("made", 900e3, n_beams, 100, 60.0, 20.0, 2.0, 1.0, 10.0, beam_azimuths_deg=azimuths_deg)
+    assert np.degrees(sonar.fan_edges_rad) == pytest.approx(edges_deg)
+
+
 def test_azimuths_from_a_table():
     sonar = Sonar("s", **{**KEYS, "n_beams": 3}, beam_azimuths_deg=[-20, 1, 22.5])
     assert np.degrees(sonar.azimuth_rad) == pytest.approx([-20, 1, 22.5], abs=1e-13)

@@ -64,8 +64,8 @@ def round_step(about: float) -> float:
 
 def _edges(sonar: Sonar) -> tuple[np.ndarray, list[float], tuple[float, float]]:
     """Return azimuths along an arc, both elevations and both ranges."""
-    half = math.radians(sonar.azimuth_fov_deg) / 2
-    azimuths = np.linspace(-half, half, 1 + math.ceil(2 * half / ARC_STEP_RAD))
+    low, high = sonar.fan_edges_rad
+    azimuths = np.linspace(low, high, 1 + math.ceil((high - low) / ARC_STEP_RAD))
     up = math.radians(sonar.elevation_fov_deg) / 2
     return azimuths, [-up, up], (sonar.range_min_m, sonar.range_max_m)
 

@@ -376,7 +376,7 @@ def _selected_color(number: int) -> tuple[int, int, int]:
 def _extent(device: Sonar) -> tuple:
     """Return what the drawing of a fan depends on."""
     return (
-        device.azimuth_fov_deg, device.elevation_fov_deg, device.range_min_m, device.range_max_m, device.tilt_deg
+        device.fan_edges_rad, device.elevation_fov_deg, device.range_min_m, device.range_max_m, device.tilt_deg
     )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ from sonar_gl.live.emulators.oculus_messages import (
 )
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
 from sonar_gl.live.pose_track import PoseTrack
+from tests.support.fan_ping import fan_ping
 from tests.support.servers import running, simulated
 from tests.support.waiting import WAIT_S, wait_until
 from tools.oculus_raw import read_pings
@@ -227,6 +228,21 @@ def test_result_holds_the_ping_that_was_asked_for(connection, tmp_path):
     bins, beams = np.nonzero(raw.counts.T == 255)
     assert abs(raw.beam_azimuths_deg[beams[0]] - np.degrees(np.arctan2(-0.5, 1.5))) < 3.0
     assert abs((bins[0] + 0.5) * raw.bin_size_m - (np.hypot(0.5, 1.5) - 0.1)) < 0.02
+
+
+def test_attitude_is_that_of_the_housing_by_the_signs_that_the_documentation_states():
+    """Turned to starboard by a quarter less 0.1 rad, the bow 0.2 rad up, the starboard side 0.3 rad down."""
+    pose = sg.pose(roll=0.3, pitch=-0.2, yaw=-(np.pi / 2 - 0.1))
+    assert pose[2, 0] > 0 > pose[2, :3] @ [0, -1, 0]  # bow up, starboard down
+    sonar = sg.load_sonar("oculus-m1200d-hf,n_beams=8,tilt_deg=10")
+    ping = replace(
+        fan_ping(), sonar=sonar, acoustics=sg.Acoustics.physical(), pose=pose, range_m=np.array([1.0])
+    )
+    fire = FireMessage(2, HIGH, 0, 127, METRES, 5.0, 50.0, 0.0, b"")
+    found = oculus.oculus_result(ping, fire, 0.0, 0)
+    assert (found.heading_deg, found.pitch_deg, found.roll_deg) == pytest.approx(
+        np.degrees([np.pi / 2 - 0.1, 0.2, 0.3])
+    )
 
 
 def test_second_version_has_attitude_and_its_own_offsets(connection):
