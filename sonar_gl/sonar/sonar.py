@@ -133,7 +133,8 @@ class Sonar:
     Raises
     ------
     Error
-        if a name is unknown, a number is out of bounds, or the beams do not lie in rising order within the fan.
+        if a name is unknown or no text, a number is out of bounds, or the beams do not lie in rising order within the
+        fan.
     """
 
     name: str
@@ -174,6 +175,9 @@ class Sonar:
 
     def __post_init__(self):
         make_numbers_plain(self)
+        for key in ("name", "source"):
+            if not isinstance(getattr(self, key), str):
+                raise Error(f"sonar: {key} must be text (got {shown(getattr(self, key))})")
         location = f"sonar {self.name!r}"
         if not isinstance(self.counts, Counts):  # a table of a file
             with errors_at(location):

@@ -363,6 +363,13 @@ def test_messages_name_missing_keys(tmp_path):
     )
 
 
+@pytest.mark.parametrize("key", ["name", "source"])
+@pytest.mark.parametrize(("value", "got"), [(None, "None"), (5, "5"), (b"mine", "b'mine'"), (["mine"], "['mine']")])
+def test_names_and_sources_are_text(key, value, got):
+    """Of other values a ping has no record: bytes are not JSON, a list makes the sonar unhashable."""
+    assert error_of(Sonar, **{"name": "s", **KEYS, key: value}) == f"sonar: {key} must be text (got {got})"
+
+
 def test_the_range_must_exceed_the_least_range():
     assert error_of(load_sonar("p900-45").with_range, 0.5) == (
         "sonar 'p900-45': the range must exceed range_min_m = 0.5 m (got 0.5)"
