@@ -127,8 +127,8 @@ class Sonar:
         beam straight ahead, where it is strongest; None: none. It belongs to the self-noise
     common_noise_width_deg : −3 dB width over azimuth of that noise, degrees: of a uniform array as long as a group of
         channels that have it in common
-    range_limit_m : greatest range that the device allows, metres; None: not known. Programs that offer ranges to choose
-        from end there; the command line and jobs warn of a range beyond it, which is no error
+    range_limit_m : greatest range that the device allows, metres, more than `range_min_m`; None: not known. Programs that
+        offer ranges to choose from end there; the command line and jobs warn of a range beyond it, which is no error
 
     Raises
     ------
@@ -206,6 +206,11 @@ class Sonar:
             raise Error(
                 f"{location}: range_min_m must be less than range_max_m "
                 f"(got {self.range_min_m:g} and {self.range_max_m:g})"
+            )
+        if self.range_limit_m is not None and self.range_limit_m <= self.range_min_m:
+            raise Error(
+                f"{location}: range_limit_m must exceed range_min_m "
+                f"(got {self.range_limit_m:g} and {self.range_min_m:g}; give both in metres)"
             )
         if self.bin_size_m < SHORTEST_BIN * self.range_max_m:
             raise Error(

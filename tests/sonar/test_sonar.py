@@ -310,6 +310,10 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         ),
         ({"range_limit_m": 0}, "sonar 'a': range_limit_m must lie in 0.001..100000 (got 0; give metres)"),
         (
+            {"range_limit_m": 0.1},
+            "sonar 'a': range_limit_m must exceed range_min_m (got 0.1 and 0.5; give both in metres)",
+        ),
+        (
             {"ping_rate_max_hz": 0},
             "sonar 'a': ping_rate_max_hz must lie in 0.001..10000 (got 0; give pings per second)",
         ),
@@ -364,7 +368,9 @@ def test_messages_name_missing_keys(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["name", "source"])
-@pytest.mark.parametrize(("value", "got"), [(None, "None"), (5, "5"), (b"mine", "b'mine'"), (["mine"], "['mine']")])
+@pytest.mark.parametrize(
+    ("value", "got"), [(None, "None"), (5, "5"), (b"mine", "b'mine'"), (["mine"], "['mine']")]
+)
 def test_names_and_sources_are_text(key, value, got):
     """Of other values a ping has no record: bytes are not JSON, a list makes the sonar unhashable."""
     assert error_of(Sonar, **{"name": "s", **KEYS, key: value}) == f"sonar: {key} must be text (got {got})"
