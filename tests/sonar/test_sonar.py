@@ -499,6 +499,20 @@ def test_the_head_is_tilted_down_within_its_housing():
             "transmit_width_deg = 1 leaves most of a fan of 60 degrees without sound; if it is in radians, give 57.3",
         ),
         (
+            {
+                "azimuth_fov_deg": 140.0,
+                "n_beams": 15,
+                "beam_azimuths_deg": np.radians(np.linspace(-70, 70, 15)),
+            },
+            "beam_azimuths_deg, -1.222 to 1.222, leave most of a fan of 140 degrees without beams; if they are in "
+            "radians, give -70 to 70",
+        ),
+        (
+            {"common_noise_db": -85.0, "common_noise_width_deg": 0.07},
+            "common_noise_width_deg = 0.07 is narrower than the beams of the whole array, 1 degrees; if it is in "
+            "radians, give 4.011",
+        ),
+        (
             {"tilt_deg": -0.17},
             "tilt_deg = -0.17 is little against an elevation of 20 degrees; if it is in radians, give -9.74",
         ),
@@ -514,6 +528,15 @@ def test_the_head_is_tilted_down_within_its_housing():
         (
             {"range_max_m": 30000.0},
             "no echo of 900 kHz comes back from range_max_m = 30000 m; if it is in millimetres, give 30",
+        ),
+        (
+            {"range_limit_m": 30000.0},
+            "no echo of 900 kHz comes back from range_limit_m = 30000 m; if it is in millimetres, give 30",
+        ),
+        (
+            {"common_noise_db": 85.0},
+            "common_noise_db = 85 exceeds the echo of a sphere about the sonar at 1 m, to which it is relative; if it "
+            "is in dB re 1 µPa, subtract that echo's level (absolute_levels states it)",
         ),
         (
             {"self_noise_db": 85.0},
