@@ -505,6 +505,13 @@ def load_sonar(what: str | Path) -> Sonar:
         raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {shown(what)})")
     if isinstance(what, str) and (changes := re.search(r",\s*\w+\s*=", what)) and not Path(what).exists():
         text = what[changes.start() + 1 :]
+        for key in (item.partition("=")[0].strip() for item in text.split(",")):
+            if key in UNPARSED:
+                option = "; on a command line --counts changes it" if key == "counts" else ""
+                raise Error(
+                    f"sonar {text!r}: {key} cannot be changed by text (write it in the sonar's file, or give it to "
+                    f"dataclasses.replace{option})"
+                )
         _, values = parse_fields("sonar", text, Sonar, without=UNPARSED)
         return replace(load_sonar(what[: changes.start()]), **values)
     known = presets()

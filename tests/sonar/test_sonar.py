@@ -376,6 +376,21 @@ def test_names_and_sources_are_text(key, value, got):
     assert error_of(Sonar, **{"name": "s", **KEYS, key: value}) == f"sonar: {key} must be text (got {got})"
 
 
+@pytest.mark.parametrize(
+    ("change", "key", "option"),
+    [
+        ("counts=db", "counts", "; on a command line --counts changes it"),
+        ("n_beams=2, beam_azimuths_deg = [-1,1]", "beam_azimuths_deg", ""),
+        ("name=mine", "name", ""),
+    ],
+)
+def test_a_field_that_text_cannot_change_is_not_said_to_be_unknown(change, key, option):
+    assert error_of(load_sonar, f"p900-45,{change}") == (
+        f"sonar {change!r}: {key} cannot be changed by text (write it in the sonar's file, or give it to "
+        f"dataclasses.replace{option})"
+    )
+
+
 def test_the_range_must_exceed_the_least_range():
     assert error_of(load_sonar("p900-45").with_range, 0.5) == (
         "sonar 'p900-45': the range must exceed range_min_m = 0.5 m (got 0.5)"
