@@ -13,11 +13,12 @@ from sonar_gl.acoustics.beam_pattern import ArrayPattern, FarPattern, gaussian_p
 from sonar_gl.acoustics.pulse import PulseResponse, bin_weights, resolution_cell_m
 from sonar_gl.acoustics.range_gain import inverse_square_gain, sonar_equation_gain, time_varied_gain
 from sonar_gl.acoustics.sea_surface import surface_backscattering
-from sonar_gl.acoustics.water import DEFAULT_WATER, Water
+from sonar_gl.acoustics.water import DEFAULT_WATER, GREATEST_ABSORPTION_DB_M, Water
 from sonar_gl.core.checks import check_choice, check_fields, check_kind, make_numbers_plain, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.signatures import shown_by_fields
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.sonar.sonar import Sonar
 
 BARE = {
@@ -192,6 +193,12 @@ class Acoustics:
             if not isinstance(getattr(self, key), bool):
                 raise Error(f"acoustics: {key} must be True or False (got {shown(getattr(self, key))})")
         check_fields("acoustics", self, BOUNDS)
+        alpha_db_m = self.tvg_absorption_db_m
+        if alpha_db_m is not None and alpha_db_m > GREATEST_ABSORPTION_DB_M:
+            warn_caller(
+                f"acoustics: tvg_absorption_db_m = {alpha_db_m:g} amplifies an echo at 1 m by {2 * alpha_db_m:g} dB; "
+                f"if it is in dB per km, give {alpha_db_m / 1e3:g}"
+            )
 
     def __new__(cls, *arguments, **fields):
         """Refuse fields that describe the device or the water."""

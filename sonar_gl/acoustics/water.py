@@ -16,6 +16,7 @@ from sonar_gl.core.warn import warn_caller
 
 # For pressure from depth; at 1 km the speed at the poles or the equator differs by 0.05 m/s.
 LATITUDE_DEG = 45.0
+GREATEST_ABSORPTION_DB_M = 20.0  # that is no likely mistake: of sea water at 9 MHz
 
 
 def absorption_francois_garrison(frequency_hz, temperature_c, salinity_psu, depth_m, ph):
@@ -223,7 +224,7 @@ class Water:
     def _likely_mistakes(self) -> Iterator[str]:
         """Yield a sentence about each number that looks like one of another unit: unlikely but possible."""
         alpha_db_m = self.absorption_db_m
-        if alpha_db_m is not None and alpha_db_m > 20.0:  # that of sea water at 9 MHz
+        if alpha_db_m is not None and alpha_db_m > GREATEST_ABSORPTION_DB_M:
             yield (
                 f"absorption_db_m = {alpha_db_m:g} takes {2 * alpha_db_m:g} dB from an echo at 1 m; if it is in dB per "
                 f"km, give {alpha_db_m / 1e3:g}"

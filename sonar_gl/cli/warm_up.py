@@ -58,7 +58,7 @@ NOISES = (
     Noise(speckle=True, looks=2, self_noise=True, ambient_db=-60.0),
     Noise(self_noise=True, gaussian=0.01, salt_and_pepper=0.01, median=3, interference_lines=2.0),
 )
-HIDING = Noise(ambient_db=100.0)  # all echoes, so that labels go
+HIDING = Noise(ambient_db=0.0)  # nearly all echoes, so that labels go
 FAST = Sampling(1.0, 24)
 
 

@@ -91,7 +91,9 @@ def sonar_text(sonar: Sonar, source: SceneSource) -> str:
     for name, one in known:
         found = changes(sonar, one, without=["counts"])
         if not set(UNPARSED) & set(found):
-            texts.append((len(found), ",".join([name, changes_text(found)]) if found else name))
+            # the user's text may change a field that is changed once more
+            items = [item for item in name.split(",") if item.partition("=")[0].strip() not in found]
+            texts.append((len(found), ",".join([*items, changes_text(found)]) if found else name))
     if not texts:
         raise Error(
             f"a sonar on a command line must be a preset, or of a .toml file (got {sonar.name!r}, made otherwise; "
@@ -163,6 +165,6 @@ def render_line(
 
 def _counts_of(text: str, source: SceneSource):
     """Return the law of counts of the sonar that a text of `sonar_text` names."""
-    if source.loaded is not None and (text + ",").startswith(source.sonar + ","):
+    if source.loaded is not None and text.partition(",")[0] == source.sonar.partition(",")[0]:
         return source.loaded.counts
     return presets()[text.partition(",")[0]].counts

@@ -24,6 +24,7 @@ from sonar_gl.live.command_line import (
 from sonar_gl.live.recording import write_poses
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.scene.load import bundled_scenes
+from sonar_gl.sonar.sonar import presets
 
 STEP_S = 1.0  # between poses
 
@@ -93,7 +94,7 @@ def new_job_text(name: str, settings: LiveSettings, source: SceneSource) -> str:
     top |= {} if source.surface_z_m is None else {"surface_z_m": float(source.surface_z_m)}
     acoustics = settings.acoustics
     preset, amounts = noise_changes(settings.noise)
-    sonar = {"sonar": sonar_text(settings.sonar, source)}
+    sonar = {"sonar": _from_anywhere(sonar_text(settings.sonar, source))}
     sonar |= {} if settings.range_m is None else {"range_m": float(settings.range_m)}
     sonar |= {} if settings.n_bins is None else {"bins": settings.n_bins}
     tables = {
@@ -111,6 +112,13 @@ def new_job_text(name: str, settings: LiveSettings, source: SceneSource) -> str:
         if values:
             parts.append("\n".join(lines) + "\n")
     return "\n".join(parts)
+
+
+def _from_anywhere(text: str) -> str:
+    """Return a text of `load_sonar` with an absolute path, since paths in a job start at its folder."""
+    if text.partition(",")[0].strip().casefold() in presets():
+        return text
+    return str(Path(text).expanduser().absolute())
 
 
 def _toml(value) -> str:

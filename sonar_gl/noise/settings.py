@@ -9,7 +9,8 @@ from sonar_gl.core.checks import check_fields, check_whole_number, is_number, ma
 from sonar_gl.core.errors import Error
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.signatures import shown_by_fields
-from sonar_gl.sonar.sonar import LEVEL
+from sonar_gl.core.warn import warn_caller
+from sonar_gl.sonar.sonar import ABSOLUTE_LEVEL, LEVEL
 
 BOUNDS = (  # field, least, most, hint
     ("gaussian", 0, 1, "a fraction of full scale"),
@@ -93,6 +94,8 @@ class Noise:
             raise Error(f"noise: looks needs speckle (got {self.looks!r} without it; switch speckle on)")
         if not is_number(self.median) or self.median not in (0, 3, 5):
             raise Error(f"noise: median must be 0, 3 or 5 (got {shown(self.median)}; 0 is none)")
+        if self.ambient_db is not None and self.ambient_db > 0:  # above all that comes back
+            warn_caller(f"noise: ambient_db = {self.ambient_db:g} {ABSOLUTE_LEVEL}")
 
     def __new__(cls, *arguments, **fields):
         """Refuse fields that describe the device."""

@@ -39,6 +39,11 @@ MAX_BINS = 65536  # also of beams
 # would go beyond their arrays.
 SHORTEST_BIN = 1e-9
 LEVEL = "give dB relative to the echo of a sphere about the sonar, at 1 m"  # of noise, in messages
+# what a level says that is no likely one of noise
+ABSOLUTE_LEVEL = (
+    "exceeds the echo of a sphere about the sonar at 1 m, to which it is relative; if it is in dB re 1 µPa, subtract "
+    "that echo's level (absolute_levels states it)"
+)
 TAPERS = ("uniform", "hamming", "taylor", "chebyshev")  # of line arrays
 CHOICES = {  # field: allowed names
     "beam_spacing": ("angle", "sine"),
@@ -127,13 +132,15 @@ class Sonar:
         beam straight ahead, where it is strongest; None: none. It belongs to the self-noise
     common_noise_width_deg : −3 dB width over azimuth of that noise, degrees: of a uniform array as long as a group of
         channels that have it in common
-    range_limit_m : greatest range that the device allows, metres; None: not known. Programs that offer ranges to choose
-        from end there; the command line and jobs warn of a range beyond it, which is no error
+    range_limit_m : greatest range that the device allows, metres, more than `range_min_m`; None: not known. Programs
+        that offer ranges to choose from end there; the command line and jobs warn of a range beyond it, which is no
+        error
 
     Raises
     ------
     Error
-        if a name is unknown, a number is out of bounds, or the beams do not lie in rising order within the fan.
+        if a name is unknown or no text, a number is out of bounds, or the beams do not lie in rising order within the
+        fan.
     """
 
     name: str
@@ -174,6 +181,9 @@ class Sonar:
 
     def __post_init__(self):
         make_numbers_plain(self)
+        for key in ("name", "source"):
+            if not isinstance(getattr(self, key), str):
+                raise Error(f"sonar: {key} must be text (got {shown(getattr(self, key))})")
         location = f"sonar {self.name!r}"
         if not isinstance(self.counts, Counts):  # a table of a file
             with errors_at(location):
@@ -203,6 +213,11 @@ class Sonar:
                 f"{location}: range_min_m must be less than range_max_m "
                 f"(got {self.range_min_m:g} and {self.range_max_m:g})"
             )
+        if self.range_limit_m is not None and self.range_limit_m <= self.range_min_m:
+            raise Error(
+                f"{location}: range_limit_m must exceed range_min_m "
+                f"(got {self.range_limit_m:g} and {self.range_min_m:g}; give both in metres)"
+            )
         if self.bin_size_m < SHORTEST_BIN * self.range_max_m:
             raise Error(
                 f"{location}: bins must be at least {SHORTEST_BIN:g} of range_max_m long "
@@ -213,8 +228,6 @@ class Sonar:
                 f"{location}: bandwidth_hz must not exceed frequency_hz "
                 f"(got {self.bandwidth_hz:g} and {self.frequency_hz:g}; give both in hertz)"
             )
-        for text in self._likely_mistakes():
-            warn_caller(f"{location}: {text}")
         if self.beam_azimuths_deg is not None:
             azimuths = frozen_array(
                 self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{location}: beam_azimuths_deg"
@@ -227,6 +240,8 @@ class Sonar:
                     f"±{self.azimuth_fov_deg / 2:g} (got {azimuths[0]:g} to {azimuths[-1]:g})"
                 )
             object.__setattr__(self, "beam_azimuths_deg", tuple(azimuths.tolist()))
+        for text in self._likely_mistakes():
+            warn_caller(f"{location}: {text}")
 
     def _likely_mistakes(self) -> Iterator[str]:
         """Yield a sentence about each number that looks like one of another unit: unlikely but possible."""
@@ -237,6 +252,16 @@ class Sonar:
                 f"azimuth_fov_deg = {self.azimuth_fov_deg:g} puts {self.n_beams} beams within less "
                 f"than 7 degrees; if it is in radians, give {math.degrees(self.azimuth_fov_deg):.4g}"
             )
+        azimuths_deg = self.beam_azimuths_deg
+        # half a circle is π; a table of a device fills its fan
+        if azimuths_deg is not None and self.n_beams > 8:
+            widest_deg = max(-azimuths_deg[0], azimuths_deg[-1])
+            if widest_deg <= 3.1416 and widest_deg < self.azimuth_fov_deg / 20:
+                yield (
+                    f"beam_azimuths_deg, {azimuths_deg[0]:.4g} to {azimuths_deg[-1]:.4g}, leave most of a fan of "
+                    f"{self.azimuth_fov_deg:g} degrees without beams; if they are in radians, give "
+                    f"{math.degrees(azimuths_deg[0]):.4g} to {math.degrees(azimuths_deg[-1]):.4g}"
+                )
         if self.n_beams > 8 and self.beam_width_deg < min(0.05, spacing_deg / 5):
             yield (
                 f"beam_width_deg = {self.beam_width_deg:g} leaves gaps between beams that are {spacing_deg:.3g} "
@@ -253,6 +278,13 @@ class Sonar:
             yield (
                 f"transmit_width_deg = {width_deg:g} leaves most of a fan of {self.azimuth_fov_deg:g} degrees without "
                 f"sound; if it is in radians, give {math.degrees(width_deg):.4g}"
+            )
+        # no group of channels is longer than the whole array, whose taper makes its beams wider by a half at most
+        width_deg = self.common_noise_width_deg
+        if self.common_noise_db is not None and width_deg < min(3.1416, self.beam_width_deg / 2):
+            yield (
+                f"common_noise_width_deg = {width_deg:g} is narrower than the beams of the whole array, "
+                f"{self.beam_width_deg:g} degrees; if it is in radians, give {math.degrees(width_deg):.4g}"
             )
         # no more than 45 degrees in radians, and so little that a picture does not show it
         if 0 < abs(self.tilt_deg) < min(0.8, self.elevation_fov_deg / 10):
@@ -274,16 +306,17 @@ class Sonar:
                 f"range_max_m are in kilometres, give {1e3 * self.range_min_m:g} and {1e3 * self.range_max_m:g}"
             )
         # sea water absorbs about 0.3 dB/m at 1 MHz, and less in proportion below: 600 dB there and back
-        if self.range_max_m > 500.0 and self.range_max_m * self.frequency_hz > 1e9:
-            yield (
-                f"no echo of {self.frequency_hz / 1e3:g} kHz comes back from range_max_m = {self.range_max_m:g} m; "
-                f"if it is in millimetres, give {self.range_max_m / 1e3:g}"
-            )
-        if self.self_noise_db > 0:  # above all that comes back
-            yield (
-                f"self_noise_db = {self.self_noise_db:g} exceeds the echo of a sphere about the sonar at 1 m, to which "
-                "it is relative; if it is in dB re 1 µPa, subtract that echo's level (absolute_levels states it)"
-            )
+        for key in ("range_max_m", "range_limit_m"):
+            range_m = getattr(self, key)
+            if range_m is not None and range_m > 500.0 and range_m * self.frequency_hz > 1e9:
+                yield (
+                    f"no echo of {self.frequency_hz / 1e3:g} kHz comes back from {key} = {range_m:g} m; "
+                    f"if it is in millimetres, give {range_m / 1e3:g}"
+                )
+        for key in ("self_noise_db", "common_noise_db"):
+            level_db = getattr(self, key)
+            if level_db is not None and level_db > 0:  # above all that comes back
+                yield f"{key} = {level_db:g} {ABSOLUTE_LEVEL}"
 
     def meta(self) -> dict:
         """Return the fields as plain values, which JSON reads back as they are, for the record of a ping."""
@@ -489,6 +522,13 @@ def load_sonar(what: str | Path) -> Sonar:
         raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {shown(what)})")
     if isinstance(what, str) and (changes := re.search(r",\s*\w+\s*=", what)) and not Path(what).exists():
         text = what[changes.start() + 1 :]
+        for key in (item.partition("=")[0].strip() for item in text.split(",")):
+            if key in UNPARSED:
+                option = "; on a command line --counts changes it" if key == "counts" else ""
+                raise Error(
+                    f"sonar {text!r}: {key} cannot be changed by text (write it in the sonar's file, or give it to "
+                    f"dataclasses.replace{option})"
+                )
         _, values = parse_fields("sonar", text, Sonar, without=UNPARSED)
         return replace(load_sonar(what[: changes.start()]), **values)
     known = presets()

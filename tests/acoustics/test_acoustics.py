@@ -42,6 +42,15 @@ def test_support_of_the_receive_pattern(sonar):
     assert physical.receive_support_rad(wide) == np.pi / 2
 
 
+def test_an_absorption_of_the_tvg_in_db_per_km_is_warned_of():
+    with pytest.warns(UserWarning) as caught:
+        Acoustics(tvg_absorption_db_m=300.0)
+    assert [str(one.message) for one in caught] == [
+        "acoustics: tvg_absorption_db_m = 300 amplifies an echo at 1 m by 600 dB; if it is in dB per km, give 0.3"
+    ]
+    assert [one.filename for one in caught] == [__file__]
+
+
 def test_range_gain_of_the_ideal_profile_is_one(sonar):
     assert (Acoustics.ideal().range_gain(sonar.range_m, sonar) == 1).all()
     assert Acoustics.ideal().range_gain(sonar.range_m, sonar).dtype == np.float64
@@ -97,6 +106,7 @@ def test_the_printed_law_is_a_tvg_of_40_log_r(sonar):
     np.testing.assert_allclose(printed * sonar.range_max_m**2, tvg, rtol=1e-13)
 
 
+@pytest.mark.filterwarnings("ignore:.* if it is in dB:UserWarning")
 @pytest.mark.filterwarnings("ignore:water. absorption_db_m")
 @pytest.mark.parametrize("k", [0, 20, 60])
 @pytest.mark.parametrize(("absorption", "assumed"), [(0, 1e5), (1e5, 0), (1e5, 1e5)])

@@ -15,6 +15,7 @@ from click.testing import CliRunner
 import sonar_gl as sg
 from sonar_gl.cli import main as cli
 from sonar_gl.core.poses import read_poses
+from sonar_gl.core.toml import read_toml
 from sonar_gl.live import recording as recording_module
 from sonar_gl.live.command_line import SceneSource, rounded_pose_numbers
 from sonar_gl.live.recording import FPS, LONGEST_S, Recording, fitted
@@ -99,6 +100,21 @@ def test_command_lines_name_the_scenes_options_and_the_users_sonar(scene, tmp_pa
         "--range 10.0 "
     )
     assert line.endswith("--pose '0.123457 0.2 -5 0 0.2 0.1'")
+
+
+def test_a_field_that_the_users_text_changes_is_named_once(scene, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        "frequency_hz=9e5\nn_beams=32\nn_bins=64\nazimuth_fov_deg=30.0\nelevation_fov_deg=20.0\nbeam_width_deg=1.0\n"
+        "range_min_m=0.5\nrange_max_m=20.0\n"
+    )
+    text = f"{path},n_bins=128, tilt_deg=8"
+    source = SceneSource("pylon", sonar=text, loaded=load_sonar(text))
+    tilted = replace(source.loaded, tilt_deg=5.5)
+    with LiveSession(scene, LiveSettings(tilted), START, source=source) as session:
+        words = shlex.split(session.output.command_line())
+    named = words[words.index("--sonar") + 1]
+    assert named == f"{path},n_bins=128,tilt_deg=5.5" and load_sonar(named) == tilted
 
 
 def test_a_preset_whose_name_begins_like_the_users_has_its_own_counts(scene):
@@ -395,6 +411,25 @@ def test_poses_become_a_job_that_batch_takes(session, tmp_path):
     assert done.output.startswith("pings 0..2: scene pylon, 0 to 2 s\n")
     beams, bins = session.frame.ping.intensity.shape
     assert f"p900_45 in pylon: {beams} beams x {bins} bins" in done.output
+
+
+@pytest.mark.parametrize("text", ["mine.toml", "mine.toml#b,tilt_deg=5", "~/mine.toml#b"])
+def test_a_new_job_names_the_users_sonar_as_it_is_found_from_its_folder(scene, tmp_path, monkeypatch, text):
+    (tmp_path / "home").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    keys = (
+        "frequency_hz=9e5\nn_beams=32\nn_bins=64\nazimuth_fov_deg=30.0\nelevation_fov_deg=20.0\n"
+        "beam_width_deg=1.0\nrange_min_m=0.5\nrange_max_m=20.0\n"
+    )
+    path = tmp_path / ("home" if "~" in text else "") / "mine.toml"
+    path.write_text(f"[a]\n{keys}[b]\n{keys}" if "#" in text else keys)
+    own = load_sonar(text.replace("~", str(tmp_path / "home")))
+    source = SceneSource("pylon", sonar=text, loaded=own)
+    with LiveSession(scene, LiveSettings(own), START, folder=tmp_path / "out", source=source) as session:
+        (named,) = read_toml(session.output.add_pose_to_job(session.next_frame()), "the job file")["sonars"]
+    monkeypatch.chdir("/")
+    assert load_sonar(named["sonar"]) == own
 
 
 def test_a_new_job_does_not_take_poses_of_one_that_was_deleted(session):

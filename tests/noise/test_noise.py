@@ -26,6 +26,16 @@ def noisy(noise, ping=None, seed=1, ping_number=0) -> np.ndarray:
     return add_noise(ping or even_ping(256, 1102), noise, seed, ping_number).intensity
 
 
+def test_an_absolute_level_of_ambient_noise_is_warned_of():
+    with pytest.warns(UserWarning) as caught:
+        Noise(ambient_db=88.0)
+    assert [str(one.message) for one in caught] == [
+        "noise: ambient_db = 88 exceeds the echo of a sphere about the sonar at 1 m, to which it is relative; if it is "
+        "in dB re 1 µPa, subtract that echo's level (absolute_levels states it)"
+    ]
+    assert [one.filename for one in caught] == [__file__]
+
+
 # --- terms
 
 

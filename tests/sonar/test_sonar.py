@@ -320,6 +320,10 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         ),
         ({"range_limit_m": 0}, "sonar 'a': range_limit_m must lie in 0.001..100000 (got 0; give metres)"),
         (
+            {"range_limit_m": 0.1},
+            "sonar 'a': range_limit_m must exceed range_min_m (got 0.1 and 0.5; give both in metres)",
+        ),
+        (
             {"ping_rate_max_hz": 0},
             "sonar 'a': ping_rate_max_hz must lie in 0.001..10000 (got 0; give pings per second)",
         ),
@@ -370,6 +374,30 @@ def test_messages_name_missing_keys(tmp_path):
     path.write_text("n_beams = 1\n" + "\n".join(TEXT.splitlines()[3:]))
     assert error_of(load_sonar, path) == (
         f"{path} [mine]: every required key must be present (missing: frequency_hz, n_bins)"
+    )
+
+
+@pytest.mark.parametrize("key", ["name", "source"])
+@pytest.mark.parametrize(
+    ("value", "got"), [(None, "None"), (5, "5"), (b"mine", "b'mine'"), (["mine"], "['mine']")]
+)
+def test_names_and_sources_are_text(key, value, got):
+    """Of other values a ping has no record: bytes are not JSON, a list makes the sonar unhashable."""
+    assert error_of(Sonar, **{"name": "s", **KEYS, key: value}) == f"sonar: {key} must be text (got {got})"
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "option"),
+    [
+        ("counts=db", "counts", "; on a command line --counts changes it"),
+        ("n_beams=2, beam_azimuths_deg = [-1,1]", "beam_azimuths_deg", ""),
+        ("name=mine", "name", ""),
+    ],
+)
+def test_a_field_that_text_cannot_change_is_not_said_to_be_unknown(change, key, option):
+    assert error_of(load_sonar, f"p900-45,{change}") == (
+        f"sonar {change!r}: {key} cannot be changed by text (write it in the sonar's file, or give it to "
+        f"dataclasses.replace{option})"
     )
 
 
@@ -496,6 +524,20 @@ def test_the_head_is_tilted_down_within_its_housing():
             "transmit_width_deg = 1 leaves most of a fan of 60 degrees without sound; if it is in radians, give 57.3",
         ),
         (
+            {
+                "azimuth_fov_deg": 140.0,
+                "n_beams": 15,
+                "beam_azimuths_deg": np.radians(np.linspace(-70, 70, 15)),
+            },
+            "beam_azimuths_deg, -1.222 to 1.222, leave most of a fan of 140 degrees without beams; if they are in "
+            "radians, give -70 to 70",
+        ),
+        (
+            {"common_noise_db": -85.0, "common_noise_width_deg": 0.07},
+            "common_noise_width_deg = 0.07 is narrower than the beams of the whole array, 1 degrees; if it is in "
+            "radians, give 4.011",
+        ),
+        (
             {"tilt_deg": -0.17},
             "tilt_deg = -0.17 is little against an elevation of 20 degrees; if it is in radians, give -9.74",
         ),
@@ -511,6 +553,15 @@ def test_the_head_is_tilted_down_within_its_housing():
         (
             {"range_max_m": 30000.0},
             "no echo of 900 kHz comes back from range_max_m = 30000 m; if it is in millimetres, give 30",
+        ),
+        (
+            {"range_limit_m": 30000.0},
+            "no echo of 900 kHz comes back from range_limit_m = 30000 m; if it is in millimetres, give 30",
+        ),
+        (
+            {"common_noise_db": 85.0},
+            "common_noise_db = 85 exceeds the echo of a sphere about the sonar at 1 m, to which it is relative; if it "
+            "is in dB re 1 µPa, subtract that echo's level (absolute_levels states it)",
         ),
         (
             {"self_noise_db": 85.0},
