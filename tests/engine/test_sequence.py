@@ -362,6 +362,19 @@ def test_a_body_added_during_a_sequence_is_in_later_pings():
         np.testing.assert_array_equal(ping.body_id, expected.body_id)
 
 
+def test_a_body_added_before_a_ping_without_an_echo_is_absent_from_it():
+    """Such a ping is drawn again, to find out why, when the scene has more bodies than its request knew."""
+    away = sg.pose(yaw=3.0)
+    with simulator(bodies=BODIES[:2]) as it:
+        pings = it.pings([POSES[0], away, POSES[1]], labels=True)
+        together = [next(pings)]
+        it.add(BODIES[2])
+        with pytest.warns(UserWarning, match="no echo"):
+            together += pings
+    assert [ping.meta["has_echo"] for ping in together] == [True, False, True]
+    assert not together[1].body_id.any()
+
+
 def test_the_poses_may_come_from_a_generator_that_uses_the_simulator(it):
     """Each ping has the scene as it was when its pose came. The naive way holds the lock meanwhile, and hangs."""
     bodies = [{"box": sg.pose(6, 2 - 0.3 * k)} for k in range(11)]
