@@ -270,7 +270,8 @@ class Run:
         if estimate is not None and received.multipath is not None:
             estimate = max(estimate, error_of(received.drawn.images, received.multipath, received.direct))
         origin = self.sample_origin()
-        if setup.n_bodies < len(origin.bodies):  # others were added since it was drawn, and have no number in it
+        # others were added since it was drawn, and have no number in it
+        if setup.n_bodies < len(origin.bodies):
             origin = replace(origin, bodies=origin.bodies[: setup.n_bodies])
         return PingReport(origin, estimate, no_echo)
 
