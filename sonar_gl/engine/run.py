@@ -269,7 +269,11 @@ class Run:
             estimate = self.sampler.error_estimate(setup)
         if estimate is not None and received.multipath is not None:
             estimate = max(estimate, error_of(received.drawn.images, received.multipath, received.direct))
-        return PingReport(self.sample_origin(), estimate, no_echo)
+        origin = self.sample_origin()
+        # others were added since it was drawn, and have no number in it
+        if setup.n_bodies < len(origin.bodies):
+            origin = replace(origin, bodies=origin.bodies[: setup.n_bodies])
+        return PingReport(origin, estimate, no_echo)
 
     def close(self) -> None:
         """Release all resources, and the OpenGL context if no other run uses it; a second call does nothing.

@@ -417,7 +417,7 @@ def _sampled(run: Run, setup: PingSetup) -> Ping:
 def _without_echo(run: Run, setup: PingSetup) -> Ping:
     """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
     with run.drawing():
-        resolution = run.sampler.resolution
+        setup, resolution = run.with_later_bodies(setup), run.sampler.resolution
         (drawn,) = draw(run.image_sources_for(), [setup], resolution)
         received = receive(drawn)
         report = run.report(received)

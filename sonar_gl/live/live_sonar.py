@@ -90,7 +90,8 @@ class LiveSonar:
                 **labels,
             )
             ping = make_ping(simulator.run, wanted)
-        ping = replace(ping, sonar=settings.device)
+        device = settings.device
+        ping = replace(ping, sonar=device, meta=ping.meta | {"sonar": device.meta()})
         shown = None
         if highlight:
             shown = pixels_of(ping.body_id == body_number(self._scene, highlight), pixel_bins(ping, settings))

@@ -222,6 +222,7 @@ def test_a_law_of_counts_needs_no_other_simulator(session, monkeypatch):
     session.change(gain_db=20.0)
     frame = session.next_frame()
     assert frame.ping.sonar.counts == sg.Counts(gain_db=20.0)
+    assert sg.Sonar(**frame.ping.meta["sonar"]) == frame.ping.sonar
     assert frame.ping.counts().mean() > session.frame.ping.counts().mean()
 
 
