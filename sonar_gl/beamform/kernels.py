@@ -2161,8 +2161,10 @@ def estimate_reflection(
                 weight, two_way = weight * math.sqrt(power), weight * power
             if seen[g] > 0.0 and length / seen[g] < range_max_m:
                 du, dv = u - t.u0, v - t.v0
-                i, j = t.iu * du + t.iv * dv, t.ju * du + t.jv * dv
-                at = plane_echo[int(j + 0.5), int(t.left + math.floor(i + 0.5)), 3]
+                # half way between two samples, rounding may give another one than the one seen, also beside the window
+                i = min(max(math.floor(t.iu * du + t.iv * dv + 0.5), 0.0), t.columns - 1.0)
+                j = min(max(math.floor(t.ju * du + t.jv * dv + 0.5), 0.0), t.rows - 1.0)
+                at = plane_echo[int(j), int(t.left + i), 3]
                 echo += two_way * at * seen[g] / length
             for p in range(planes.shape[0]):
                 along = planes[p, 0] * x[g] + planes[p, 1] * y[g] + planes[p, 2] * z[g]
