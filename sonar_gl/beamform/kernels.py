@@ -798,7 +798,8 @@ def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin
     # a plane beyond its horizon: the energy of the middle is spread over the part in view
     if s < wide + thin:
         scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
-    row, first = uint64(c), uint64(int((1.0 / high - first_m) * per_metre))
+    row = uint64(c)
+    first = uint64(min(int((1.0 / high - first_m) * per_metre), K - 1))  # as in `_find_intervals`
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
     nearer, rise = _below(high, s, wide, thin), slant / wide if slant != 0.0 else 0.0
     for k in range(first, last):
@@ -818,6 +819,7 @@ def _find_intervals(work, first, last, bins):
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     energy, s, a, b = work[ENERGY], work[S], work[A], work[B]
     s_first, s_last, first_m, per_metre = bins.s[0], bins.s[-1], bins.first_m, bins.per_metre
+    last_bin = bins.s.shape[0] - 2.0
     for m in range(uint64(first), uint64(_whole(first, last))):
         wide = max(a[m], b[m], 1e-9 * s[m])
         near, far = s[m] + wide, s[m] - wide
@@ -826,7 +828,8 @@ def _find_intervals(work, first, last, bins):
         near, far = min(near, s_first), max(far, s_last)
         inverse = 1.0 / (near * far)  # one division for both ranges
         work[NEAR, m], work[FAR, m], work[HALF_HEIGHT, m] = near, far, half_height
-        work[NEAR_BIN, m] = (far * inverse - first_m) * per_metre
+        # by rounding, what begins at the end of the last bin would begin beyond it
+        work[NEAR_BIN, m] = min((far * inverse - first_m) * per_metre, last_bin)
         work[FAR_BIN, m] = (near * inverse - first_m) * per_metre
 
 
@@ -1392,7 +1395,7 @@ def _spread_moments_trapezoid(work, m, cells, slot, sums, row, bins_s, middle_m,
     scale = energy / (4 * wide * thin)
     if s < wide + thin:
         scale = energy * s / (_below(s + wide + thin, s, wide, thin) - _below(0.0, s, wide, thin))
-    first = uint64(int((1.0 / high - first_m) * per_metre))
+    first = uint64(min(int((1.0 / high - first_m) * per_metre), K - 1))
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
     nearer, range_nearer = _below(high, s, wide, thin), _below_range(high, s, wide, thin)
     rise = work[SLANT, m] / wide
@@ -2161,8 +2164,10 @@ def estimate_reflection(
                 weight, two_way = weight * math.sqrt(power), weight * power
             if seen[g] > 0.0 and length / seen[g] < range_max_m:
                 du, dv = u - t.u0, v - t.v0
-                i, j = t.iu * du + t.iv * dv, t.ju * du + t.jv * dv
-                at = plane_echo[int(j + 0.5), int(t.left + math.floor(i + 0.5)), 3]
+                # half way between two samples, rounding may give another one than the one seen, also beside the window
+                i = min(max(math.floor(t.iu * du + t.iv * dv + 0.5), 0.0), t.columns - 1.0)
+                j = min(max(math.floor(t.ju * du + t.jv * dv + 0.5), 0.0), t.rows - 1.0)
+                at = plane_echo[int(j), int(t.left + i), 3]
                 echo += two_way * at * seen[g] / length
             for p in range(planes.shape[0]):
                 along = planes[p, 0] * x[g] + planes[p, 1] * y[g] + planes[p, 2] * z[g]

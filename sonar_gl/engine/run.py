@@ -109,10 +109,11 @@ class Run:
         return self.await_job(Job(alone, IN_USE))
 
     def await_job(self, job: Job) -> Job:
-        """Have `drawing` wait for a job, and return it.
+        """Have `drawing` wait for a job, and `World.add` of other runs; return it.
 
         An interrupt before a thread has got it leaves it to `drawing`.
         """
+        self.world.await_job(job)
         self._in_flight = [*(one for one in self._in_flight if not one.is_over), job]
         return job
 

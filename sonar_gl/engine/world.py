@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from dataclasses import replace
+from weakref import WeakSet
 
 import numpy as np
 
 from sonar_gl.core.checks import check_kind, check_number, is_number, shown, unknown_body_error
 from sonar_gl.core.errors import Error, closed_error, other_process_error
 from sonar_gl.core.poses import MAX_TIME_S, check_pose
-from sonar_gl.core.worker import SecondThread, ThreadLock
+from sonar_gl.core.worker import Job, SecondThread, ThreadLock
 from sonar_gl.raster.engine import RasterEngine, make_engine
 from sonar_gl.scene.kept_meshes import KeptMeshes
 from sonar_gl.scene.plume import Bubbles
@@ -54,7 +55,7 @@ class World:
         self._lock, self._process = ThreadLock(IN_USE), os.getpid()
         self._kept_meshes = KeptMeshes()
         self.given_scene, self.scene = scene, self._kept_meshes.scene(scene)
-        self._users, self.thread = set(), SecondThread()
+        self._users, self.thread, self._jobs = set(), SecondThread(), WeakSet()
         self.n_changes, self._is_taking_request = 0, False
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
         self.engine = make_engine(self.scene, engine, device, context)
@@ -88,6 +89,10 @@ class World:
             self.thread.settle()
             with self.engine.drawing() as context:
                 yield context
+
+    def await_job(self, job: Job) -> None:
+        """Have `add` wait for a job, of any user, that draws in another thread; inside `drawing`."""
+        self._jobs.add(job)
 
     def state_of(self, bodies, time_s=None, with_bubbles: bool = False, reflectivity=None) -> SceneState:
         """Return where bodies and bubbles are in a ping.
@@ -216,6 +221,9 @@ class World:
         plume_poses = {body.name: body.pose for body in bodies if isinstance(body, Bubbles)}
         indices = {body.name: index for index, body in enumerate(scene.bodies[n_before:], n_before)}
         plume_poses, indices = self._plume_poses | plume_poses, self._indices | indices
+        # compiled code would look for these bodies in the states of pings that lack them
+        for job in list(self._jobs):
+            job.settle()
         # all in one step: an interrupt before it leaves the scene without these bodies
         self.engine.contents, self.given_scene, self.scene, self._plume_poses, self._indices = (
             contents, given_scene, scene, plume_poses, indices

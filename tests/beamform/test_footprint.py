@@ -131,6 +131,20 @@ def test_footprints_outside_the_bins_add_nothing():
     assert spread(1 / EDGES[-1] * (1 + 1e-9), 0.0, 0.0).argmax() == 299
 
 
+def test_what_begins_at_the_end_of_the_last_bin_leaves_nothing_outside_of_its_span():
+    """The next ping clears what lies within the spans alone; `spread` looks outside."""
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        range_min_m, steps = rng.uniform(0, 3), rng.integers(1, 4)
+        edges = np.linspace(range_min_m, range_min_m + rng.uniform(0.01, 40), rng.integers(2, 200))
+        nearest = far = bin_table(edges).s[-1]
+        for _ in range(steps):  # by rounding, this is the end of the last bin
+            nearest = np.nextafter(nearest, np.inf)
+        wide = far * rng.choice([1e-9, 1e-6, 1e-3])
+        for thin in (0.0, wide / 2):  # a box and a trapezoid
+            spread(nearest - wide - thin, wide, thin, 1e15, edges)
+
+
 def test_neighbouring_rows_leave_no_gaps_or_rings():
     """Footprints of the rows of a grazing floor tile it, and their sum is smooth to float32."""
     h, rows = 3.0, np.linspace(-0.02, -0.16, 60)

@@ -1,5 +1,6 @@
 """Multipath: closed forms, brute-force ray casting, and the choice of planar reflectors."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.beamform import kernels
 from sonar_gl.engine import multipath, pipeline
 from sonar_gl.raster.cull import MARGIN
 from sonar_gl.scene.reflectors import (
@@ -315,6 +317,29 @@ def test_a_smooth_plate_in_the_plane_of_the_floor_is_not_taken_for_the_floor(mon
     )
     assert without.sum() > 0
     np.testing.assert_array_equal(beside, without)
+
+
+def test_the_estimate_of_reflections_reads_no_samples_beside_a_window():
+    """Its directions lie half way between the last sample of a window and the next one, which is far brighter here."""
+    rng, n, rows, columns = np.random.default_rng(0), kernels.GRID, 5, 7
+    image = np.full((rows + 2, columns + 2, 4), 1e9, np.float32)
+    image[1:-1, 1:-1] = 0.2, 0.0, 0.0, 1.0
+    nothing = np.zeros((0, 4)), np.zeros(0, bool), np.zeros((0, 3))
+    for trial in range(1000):
+        azimuth, half_width, tan_high = rng.uniform(-1, 1), rng.uniform(0.2, 0.8), rng.uniform(0.05, 0.5)
+        column, row = rng.integers(n, size=2)
+        u = half_width * ((2 * column + 1) / n - 1)
+        v = math.sqrt(1 + u * u) * tan_high * ((2 * row + 1) / n - 1)
+        step_u, step_v = half_width / 25, tan_high / 20
+        # half a sample beyond one of the four sides
+        u0 = u - step_u * (columns - 0.5, -0.5, 3, 3)[trial % 4] + rng.normal() * 1e-16
+        v0 = v - step_v * (2, 2, rows - 0.5, -0.5)[trial % 4] + rng.normal() * 3e-17
+        lattice = u0, step_u, 0.0, v0, 0.0, step_v, 1 / step_u, 0.0, 0.0, 1 / step_v
+        limits = math.cos(azimuth), math.sin(azimuth), half_width, -tan_high, tan_high
+        sector = np.array([(*limits, *lattice, 1, columns, rows)], kernels.SECTOR)
+        view = image[1:], sector  # there is a row beyond the last, but none before the first
+        echo = kernels.estimate_reflection(view, *nothing, 30.0, np.empty(0), np.empty(0))
+        assert echo < 100, trial
 
 
 def test_weak_reflectors_are_not_drawn(perfect, monkeypatch):

@@ -728,3 +728,22 @@ def test_pings_that_nobody_took_change_no_later_one():
         *_, one, other = [it.ping(pose) for pose in (*FAR_AND_NEAR[:2], *FAR_AND_NEAR[3:5])]
     for ping, expected in zip(found, (one, other), strict=True):
         check_same(ping, expected)
+
+
+def test_a_body_that_another_simulator_adds_waits_for_the_pings_that_are_being_made(monkeypatch):
+    """They have the scene as it was, in which compiled code would look for that body outside of arrays."""
+    monkeypatch.setattr(JobThread, "submit", lambda thread, job: None)  # a busy thread, which begins no job
+    scene = sg.Scene(BODIES, surface_z_m=3.0)
+    with (
+        sg.Simulator(scene, SONAR, sg.Acoustics.ideal(), SAMPLING, engine="cpu") as one,
+        sg.Simulator(one, SONAR.with_range(5), sg.Acoustics.ideal(), SAMPLING) as other,
+    ):
+        want = one.ping(POSES[0], labels=True)
+        pings = one.pings([POSES[0]] * 2, labels=True)
+        found = [next(pings)]
+        other.add(sg.Body("more", BALL, sg.pose(4)))
+        with pytest.warns(UserWarning, match="bodies were placed or added between two pings"):
+            found += pings
+        for ping in found:
+            np.testing.assert_array_equal(ping.intensity, want.intensity)
+            np.testing.assert_array_equal(ping.body_id, want.body_id)
