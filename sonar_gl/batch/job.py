@@ -44,6 +44,7 @@ LENGTHS = {
     "too_short": "should have a length of at least {min_length}",
     "too_long": "should have a length of at most {max_length}",
 }
+TABLES = "dataclass_type", "dict_type", "model_attributes_type", "model_type"  # of what is no table
 # keys of former versions: what stands in their place
 REPLACED = {
     "scale": 'counts = { law = "db" }, or { law = "power", exponent = 1 } for a linear scale',
@@ -411,9 +412,12 @@ def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
     text = text[:1].lower() + text[1:]
     if error["type"] in LENGTHS:
         text = LENGTHS[error["type"]].format(**error["ctx"])
+    got, cure = error["input"], _cure(kind, error["loc"])
+    if error["type"] in TABLES:
+        text, known = "should be a table", _known_keys(kind, error["loc"])
+        cure = f"its keys are {', '.join(known)}" if known else cure
     if "(got " in text or not error["loc"]:
         return f"{key_path(place)}: {text}"
-    got, cure = error["input"], _cure(kind, error["loc"])
     if error["type"] == "list_type" and isinstance(got, dict):
         cure = f"write [[{key_path(place)}]], since there may be several"
     got = f"a table of {', '.join(map(str, got))}" if isinstance(got, dict) else repr(got)[:80]

@@ -10,8 +10,9 @@ import numpy as np
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.scene.extent import millimetres_text
-from sonar_gl.scene.scene import Scene
+from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.scene.state import SceneState
+from sonar_gl.sonar.fan import SURFACE_MARGIN_M
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sonar import Sonar
 
@@ -36,7 +37,14 @@ def why_no_echo(
         nearest = f"the nearest surface in the fan lies at {_length(beyond_m)}"
         reason = f"no echo came back: {nearest}, beyond range_max_m = {sonar.range_max_m:g}"
         return reason + _scale_hint(scene)
-    name, point = _nearest_body(scene, state, pose)
+    nearest = _nearest_body(scene, state, pose)
+    if nearest is None:
+        return (
+            "no echo came back: all bodies lie above the water's surface at "
+            f"z = {scene.surface_z_m:.4g} m, in which the sonar is; give the scene another surface (--surface, "
+            "Scene.with_surface)"
+        )
+    name, point = nearest
     range_m = float(np.linalg.norm(point))
     azimuth = math.degrees(math.atan2(point[1], point[0]))
     elevation = math.degrees(math.atan2(point[2], math.hypot(point[0], point[1])))
@@ -102,19 +110,18 @@ def _nearest_beyond(scene: Scene, state: SceneState, pose, sonar: Sonar, top_deg
     half, top = np.radians([sonar.azimuth_fov_deg / 2 / n_wedges, top_deg])
     inward = [[math.sin(half), math.cos(half), 0], [math.sin(half), -math.cos(half), 0]]
     inward += [[math.sin(top), 0, math.cos(top)], [math.sin(top), 0, -math.cos(top)]]
-    sonar_from_world, nearest_m = np.linalg.inv(pose), math.inf
+    nearest_m = math.inf
     for body, body_pose, is_present in zip(scene.bodies, state.poses, state.present, strict=True):
-        sonar_from_body = sonar_from_world @ body_pose
-        vertices = (
-            np.asarray(body.surface.vertices, np.float64) @ sonar_from_body[:3, :3].T + sonar_from_body[:3, 3]
-        )
-        if not is_present or not np.isfinite(vertices).all():
+        if not is_present:
             continue
-        if np.linalg.norm(vertices, axis=1).max() < sonar.range_max_m:
+        vertices, wet_faces = _in_water(body, body_pose, pose, scene.surface_z_m)
+        if not np.isfinite(vertices).all():
+            continue
+        if np.linalg.norm(vertices, axis=1).max(initial=0.0) < sonar.range_max_m:
             continue  # it was drawn, and is not in the fan
         for wedge in range(n_wedges):
             turn = make_pose(yaw=(2 * wedge + 1 - n_wedges) * half)[:3, :3]
-            corners, faces = vertices, np.asarray(body.surface.faces)
+            corners, faces = vertices, wet_faces
             for normal in np.array(inward) @ turn.T:
                 corners, faces = slice_faces_plane(corners, faces, normal, np.zeros(3))[:2]
             if len(faces):
@@ -124,20 +131,34 @@ def _nearest_beyond(scene: Scene, state: SceneState, pose, sonar: Sonar, top_deg
 
 
 def _nearest_body(scene: Scene, state: SceneState, pose):
-    """Return the name of the nearest body and its nearest point, metres in the sonar frame."""
+    """Return the name of the nearest body and its nearest point, metres in the sonar frame; None if all are in air."""
     from trimesh.triangles import closest_point
 
     best = None
     for body, body_pose, is_present in zip(scene.bodies, state.poses, state.present, strict=True):
         if not is_present:
             continue
-        sonar_from_body = np.linalg.inv(pose) @ body_pose
-        origin = np.linalg.inv(sonar_from_body)[:3, 3]
-        triangles = np.asarray(body.surface.vertices, np.float64)[np.asarray(body.surface.faces)]
-        points = closest_point(triangles, np.broadcast_to(origin, (len(triangles), 3)))
-        squares = ((points - origin) ** 2).sum(axis=1)
+        vertices, faces = _in_water(body, body_pose, pose, scene.surface_z_m)
+        if not len(faces):
+            continue
+        points = closest_point(vertices[faces], np.zeros((len(faces), 3)))
+        squares = (points**2).sum(axis=1)
         index = np.nanargmin(squares) if np.isfinite(squares).any() else 0
-        point = sonar_from_body[:3, :3] @ points[index] + sonar_from_body[:3, 3]
         if best is None or squares[index] < best[0]:
-            best = (squares[index], body.name, point)
-    return best[1], best[2]
+            best = squares[index], body.name, points[index]
+    return None if best is None else best[1:]
+
+
+def _in_water(body: Body, body_pose, pose, surface_z_m: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return (V, 3) vertices in the sonar frame and (F, 3) faces of a body, without what is above a sonar's water."""
+    from trimesh.intersections import slice_faces_plane
+
+    sonar_from_body = np.linalg.inv(pose) @ body_pose
+    vertices = (
+        np.asarray(body.surface.vertices, np.float64) @ sonar_from_body[:3, :3].T + sonar_from_body[:3, 3]
+    )
+    faces = np.asarray(body.surface.faces)
+    if surface_z_m is None or pose[2, 3] >= surface_z_m or not np.isfinite(vertices).all():
+        return vertices, faces
+    up = pose[2, :3]
+    return slice_faces_plane(vertices, faces, -up, up * (surface_z_m - SURFACE_MARGIN_M - pose[2, 3]))[:2]

@@ -1185,6 +1185,12 @@ BAD = [
     ("seed = 5", "without = ['boat']", "without must name bodies of the scene (got 'boat';"),
     ("seed = 5", "surface_z_m = 'x'", "surface_z_m: should be a valid number (got 'x')"),
     ("seed = 5", "seed = 'x'", "seed: should be a valid integer (got 'x')"),
+    (
+        "seed = 5",
+        "ros = 'bag'",
+        "ros: should be a table (got 'bag'; its keys are image_height, y_sign, counts)",
+    ),
+    ("seed = 5", "water = 8", "water: should be a table (got 8)"),
     ("[[poses]]", "[poses]", "; write [[poses]], since there may be several)"),
     ("[[vary.bodies]]", "[vary.bodies]", "; write [[vary.bodies]], since there may be several)"),
     ("n_pings = 10", "n_ping = 10", "poses[0]: unknown key (got 'n_ping'; did you mean 'n_pings'"),

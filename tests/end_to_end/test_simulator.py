@@ -455,6 +455,38 @@ def test_a_far_wall_seen_through_its_corner_is_at_its_nearest_point_in_the_fan()
     ]
 
 
+ABOVE = (
+    "no echo came back: all bodies lie above the water's surface at z = -1 m, in which the sonar is; give the scene "
+    "another surface (--surface, Scene.with_surface)"
+)
+BESIDE = (
+    "no echo came back: no surface lies in the fan; the nearest is 'post', 9.97 m away at azimuth -106.6° and "
+    "elevation 1.4° of the sonar, which sees ±30° and ±10°; turn or move the sonar"
+)
+
+
+@pytest.mark.parametrize(
+    "x, post, message",
+    [
+        (0.0, (), ABOVE),
+        (-700.0, (), ABOVE),  # beyond the range
+        # a leaning post, of which only the foot is in the water: nearest at (-2.85, -9.55, 0.25) of the sonar
+        (0.0, [(-3, -10, 0), (-3, -10, 4.9), (0, -1, 5)], BESIDE),
+    ],
+)
+def test_what_is_above_the_water_of_the_sonar_is_not_named_as_its_nearest_surface(x, post, message):
+    bodies = [BOX]
+    if post:
+        bodies.append(sg.Body("post", trimesh.Trimesh(post, [[0, 1, 2]]), sg.pose(z=-1.25)))
+    scene = sg.Scene(bodies, surface_z_m=-1.0)
+    with (
+        sg.Simulator(scene, SONAR, sg.Acoustics.ideal(), SAMPLING) as it,
+        pytest.warns(UserWarning) as caught,
+    ):
+        it.ping(sg.pose(x, 0, -1.25))
+    assert [str(w.message) for w in caught] == [message]
+
+
 def test_a_ping_with_an_echo_does_not_warn():
     with simulator() as it, warnings.catch_warnings():
         warnings.simplefilter("error")

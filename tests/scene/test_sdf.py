@@ -1393,6 +1393,14 @@ def test_messages_about_a_mesh_name_the_element(tmp_path, message):
         ("<sdf><a b='c<'/></sdf>", "line 1, column 13: broken XML (not well-formed (invalid token))"),
         ("<sdf>&nothing;</sdf>", "line 1, column 6: broken XML (undefined entity)"),
         ("<scene/>", "the root element must be <sdf>, or <robot> of URDF (got <scene>)"),
+        (
+            "<COLLADA xmlns='http://www.collada.org/2005/11/COLLADASchema'/>",
+            "the root element must be <sdf>, or <robot> of URDF (got <COLLADA>; this is a mesh: name it .dae)",
+        ),
+        (
+            "<sdf xmlns='a\nb'><a b='c<'/></sdf>",
+            "line 2, column 11: broken XML (not well-formed (invalid token))",
+        ),
         ("<sdf/>", "must hold a <world> or a <model>"),
     ],
 )

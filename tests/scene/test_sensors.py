@@ -255,6 +255,13 @@ def test_a_custom_sensor_of_another_kind_is_no_sonar(read, prefix, kind, is_sona
     assert (scene.sonar_pose is not None) == is_sonar
 
 
+@pytest.mark.parametrize("prefix", ["xmlns:gz='http://gazebosim.org/schema'", ""])
+def test_a_dvl_is_no_sonar_whatever_its_name(read, prefix):
+    """Sonardyne makes DVLs, and their models are named after it."""
+    scene, _ = read(sensor("", "sonardyne_syrinx600", "custom", "gz:type='dvl'"), prefix=prefix)
+    assert scene.sonar_pose is None
+
+
 def test_scenes_made_from_a_scene_keep_its_sensors(read):
     scene, _ = read(sensor(scan(angles(-45, 45, 180))))
     for other in (scene.without("rock"), scene.only("rock"), scene.with_surface(2.0), scene.with_more([])):

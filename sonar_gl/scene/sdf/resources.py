@@ -22,6 +22,8 @@ MAX_PACKAGE_DEPTH = 4  # of folders of ROS packages below a resource path
 TOLERATED = {64: "the XML declaration is not first", 80: '"--" in a comment', 201: "a prefix is not declared"}
 TOLERATED[202] = TOLERATED[201]
 BARE_AND = re.compile(rb"&(?!#?\w+;)")  # accepted as well, as in "A & B" or "?a=1&b=2"
+# of tags without a prefix; Gazebo takes it for an attribute without meaning, and the tags for its own
+DEFAULT_NAMESPACE = re.compile(rb"""(?<=\s)xmlns\s*=\s*("[^"]*"|'[^']*')""")
 BARE_VALUE = re.compile(r"""<[^<>"']*?([\w:.-]+=[^"'\s<>/]+)""")  # of an attribute, without quotes
 BUILT_IN = {  # models that come with Gazebo, so that worlds name them without their files
     "model://sun": "<sdf><light/></sdf>",
@@ -119,13 +121,18 @@ class Resources:
         return self._parsed[path]
 
     def read(self, path: Path) -> bytes:
-        """Return the XML of a file, with the prefix sonar_gl declared; huge files are refused."""
+        """Return the XML of a file, with the prefix sonar_gl declared, and no namespace for tags without a prefix.
+
+        Huge files are refused.
+        """
         try:
             if path.exists():
                 check_is_file(path)
             if path.stat().st_size > MAX_XML_BYTES:
                 raise Error(f"{path}: a scene file must not exceed {MAX_XML_BYTES // 1_000_000} MB of XML")
-            return declare_namespace(path.read_bytes())
+            # blanks, so that what is said of broken XML names its place
+            xml = DEFAULT_NAMESPACE.sub(lambda found: re.sub(rb"[^\r\n]", b" ", found[0]), path.read_bytes())
+            return declare_namespace(xml)
         except OSError as why:
             raise Error(f"{path}: {why.strerror or why}") from None
 

@@ -62,7 +62,7 @@ def find_sonars(links) -> list[SensorOfLink]:
     It is the first `<sensor type="custom">`; else the first sensor whose own name, type or plugin contains one of
     SONAR_WORDS; else the first of IMAGING_SENSORS in a model whose name contains one, or in such a link of a URDF
     file. A custom sensor of which `gz:type` says what it is, such as an odometer, needs one of SONAR_WORDS there or
-    in its name. By their names, DVLs and altimeters are none.
+    in its name. By their names or `gz:type`, DVLs and altimeters are none.
     """
     found = []
     for link in links:
@@ -74,7 +74,8 @@ def find_sonars(links) -> list[SensorOfLink]:
             by_sensor, by_model = (
                 any(word in text.lower() for word in SONAR_WORDS) for text in (" ".join(names), owner)
             )
-            if any(word in names[0].lower() for word in OTHER_SONARS):
+            # by its kind, too: Sonardyne makes DVLs
+            if any(word in f"{names[0]} {custom_kind}".lower() for word in OTHER_SONARS):
                 by_sensor = by_model = False
             elif any(word in owner.lower() for word in OTHER_SONARS):
                 by_model = False

@@ -6,6 +6,7 @@ from copy import deepcopy
 
 from sonar_gl.core.errors import Error
 from sonar_gl.scene.sdf.extensions import list_extensions
+from sonar_gl.scene.sdf.frames import read_numbers
 
 XACRO = "{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}"  # namespace of macros
 SIZES = {  # geometry: attributes that it must have; each is an element of this name in SDF
@@ -15,6 +16,7 @@ SIZES = {  # geometry: attributes that it must have; each is an element of this 
     "ellipsoid": ("radii",),
     "sphere": ("radius",),
 }
+ORIGIN = {"xyz": 3, "rpy": 3, "quat_xyzw": 4}  # attribute of an origin: how many numbers it holds
 RETRO = "laserRetro", "laser_retro"
 
 
@@ -30,7 +32,7 @@ def model_of(robot, location: str):
     ------
     Error
         if there are no links, a link has two parents or is unknown, a geometry lacks a size, or an
-        origin has two rotations.
+        origin has two rotations or other text than numbers.
 
     Notes
     -----
@@ -102,6 +104,11 @@ def _add(parent, tag: str, text: str | None = None, **attributes: str):
 def _add_pose(converted, element, location: str, **attributes: str) -> None:
     """Add the `<pose>` of an element that may have an `<origin>`, with a quaternion as in URDF 1.2 or without."""
     origin = {} if (found := element.find("origin")) is None else found.attrib
+    for key, count in ORIGIN.items():
+        if origin.get(key):  # here, since the pose is an element that the file does not hold
+            numbers = found.makeelement(key, {})
+            numbers.text = origin[key]
+            read_numbers(numbers, f"{location}/origin/{key}", count)
     xyz, rotation = origin.get("xyz") or "0 0 0", origin.get("rpy") or "0 0 0"
     if origin.get("quat_xyzw"):
         if origin.get("rpy"):
