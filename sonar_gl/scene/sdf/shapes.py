@@ -21,7 +21,6 @@ from sonar_gl.scene.sdf.links import Link
 from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sdf.water import is_invisible, is_mark, is_water, surface_z_m
 
-GEOMETRIES = "box, capsule, cone, cylinder, ellipsoid, heightmap, mesh, plane, polyline, sphere"
 # Sizes of the shapes, by which a tag that is misspelt is found: SDF's default would take its place without a word.
 SIZES = {
     "box": ("size",),
@@ -267,7 +266,7 @@ class BodyReader:
             )
         if shape.tag not in ("mesh", "heightmap"):
             self.resources.note_unsupported(
-                f"{location}: unknown geometry (known are {GEOMETRIES}; anything can be a mesh)"
+                f"{location}: unknown geometry (known are {', '.join(SIZES)}; anything can be a mesh)"
             )
             return None
         uri = (shape.findtext("uri") or shape.findtext("filename") or "").strip()
