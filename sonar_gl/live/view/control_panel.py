@@ -106,9 +106,7 @@ class ControlPanel:
         for slider, scale, shown in self._numbers:
             _scale_slider(slider, scale.holding(shown(settings)))
         for handle, shown in self._shown:
-            value = shown(settings)
-            if handle.value != value and not self._actions.waits(id(handle)):
-                handle.value = value
+            self._actions.show(handle, shown(settings))
         is_recording = self._session.output.is_recording
         label = "Stop recording" if is_recording else "Record"
         if self._record.label != label:
@@ -123,13 +121,11 @@ class ControlPanel:
 
     def show_mover(self, mover: str) -> None:
         """Show what moves the sonar."""
-        if self._mover.value != mover and not self._actions.waits(id(self._mover)):
-            self._mover.value = mover
+        self._actions.show(self._mover, mover)
 
     def show_body(self, name: str) -> None:
         """Show which body is selected; "" for none."""
-        if self._body.value != (name or NO_BODY) and not self._actions.waits(id(self._body)):
-            self._body.value = name or NO_BODY
+        self._actions.show(self._body, name or NO_BODY)
 
     def _name_of_sonar(self, sonar: Sonar) -> str:
         """Return the name by which the page offers a sonar, which may differ from a preset of its own name.
