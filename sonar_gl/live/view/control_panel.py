@@ -90,7 +90,7 @@ class ControlPanel:
         self._add_sonar(settings)
         self._add_display(settings, on_picture, on_marks)
         self._add_acoustics(settings)
-        self._add_water(settings)
+        self._add_water()
         self._add_bodies(on_body)
         self._add_files()
         server.gui.main_panel.dock_right()
@@ -171,6 +171,20 @@ class ControlPanel:
             lambda value: change(scale.holding(shown(self._session.settings)).check(value)),
         )
 
+    def _add_choice(
+        self,
+        label: str,
+        options: tuple[str, ...],
+        shown: Callable[[LiveSettings], str],
+        change: Callable[[str], object],
+        hint: str | None = None,
+    ) -> None:
+        """Add a dropdown that shows one of some names, and refuses others."""
+        dropdown = self._gui.add_dropdown(
+            label, options, initial_value=shown(self._session.settings), hint=hint
+        )
+        self._connect(dropdown, shown, lambda name: change(chosen(name, options, label)))
+
     def _add_motion(self, on_mover) -> None:
         gui = self._gui
         movers = (KEYS, CAMERA) + (() if self._session.track is None else (TRAJECTORY,))
@@ -224,18 +238,16 @@ class ControlPanel:
                 lambda rate_hz: session.change(max_rate_hz=rate_hz),
                 "At most.",
             )
-            engine = gui.add_dropdown(
-                "engine", ENGINES, initial_value=settings.engine or "auto",
-                hint="What makes the pings: opengl, on a graphics card, or cpu; auto takes a card if there is one.",
-            )  # fmt: skip
+            self._add_choice(
+                "engine",
+                ENGINES,
+                lambda settings: settings.engine or "auto",
+                lambda name: session.change(engine=name),
+                "What makes the pings: opengl, on a graphics card, or cpu; auto takes a card if there is one.",
+            )
         self._shown.append((sonar, lambda settings: self._shown_sonar(sonar, settings.sonar)))
         self._actions.connect_from(sonar, self._change_sonar)
         self._connect(self._range, _shown_range, lambda value: session.change(range_m=float(value)))
-        self._connect(
-            engine,
-            lambda settings: settings.engine or "auto",
-            lambda name: session.change(engine=chosen(name, ENGINES, "engine")),
-        )
 
     def _change_sonar(self, client, name: str) -> None:
         """Take another sonar, at the range that is set, or else at one that it allows, and say so."""
@@ -257,11 +269,19 @@ class ControlPanel:
         gui, session = self._gui, self._session
         colormaps = tuple(dict.fromkeys((*COLORMAPS, settings.colormap)))
         with gui.add_folder("Display"):
-            form = gui.add_dropdown(
-                "form", FORMS, initial_value=settings.form,
-                hint="fan: as seen from above. polar: beams side by side, range upwards.",
-            )  # fmt: skip
-            colormap = gui.add_dropdown("colours", colormaps, initial_value=settings.colormap)
+            self._add_choice(
+                "form",
+                FORMS,
+                lambda settings: settings.form,
+                lambda name: session.change(form=name),
+                "fan: as seen from above. polar: beams side by side, range upwards.",
+            )
+            self._add_choice(
+                "colours",
+                colormaps,
+                lambda settings: settings.colormap,
+                lambda name: session.change(colormap=name),
+            )
             own = gui.add_checkbox(
                 "gain of the device", settings.counts is None, hint="As the device sets it; else that below."
             )
@@ -281,16 +301,6 @@ class ControlPanel:
             )
         self._actions.connect(picture, on_picture)
         self._actions.connect(marks, on_marks)
-        self._connect(
-            form,
-            lambda settings: settings.form,
-            lambda name: session.change(form=chosen(name, FORMS, "form")),
-        )
-        self._connect(
-            colormap,
-            lambda settings: settings.colormap,
-            lambda name: session.change(colormap=chosen(name, colormaps, "colours")),
-        )
         self._connect(own, lambda settings: settings.counts is None, self._switch_gain)
 
     def _switch_gain(self, own: bool) -> None:
@@ -309,11 +319,14 @@ class ControlPanel:
     def _add_acoustics(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
         with gui.add_folder("Acoustics and noise", expand_by_default=False):
-            profile = gui.add_dropdown(
-                "profile", tuple(PROFILES), initial_value=settings.acoustics.profile,
-                hint="Sets all terms below; each may be switched by itself after that.",
-            )  # fmt: skip
-            noise = gui.add_dropdown("noise", (*PRESETS, OTHER), initial_value=_shown_noise(settings))
+            self._add_choice(
+                "profile",
+                tuple(PROFILES),
+                lambda settings: settings.acoustics.profile,
+                lambda name: session.change(acoustics=Acoustics(name, water=session.settings.water)),
+                "Sets all terms below; each may be switched by itself after that.",
+            )
+            self._add_choice("noise", (*PRESETS, OTHER), _shown_noise, self._change_noise)
             for name in term_names():
                 label = SHORT_LABELS.get(name, name)
                 self._terms[name] = gui.add_checkbox(label, settings.is_on(name), hint=f"Term: {name}.")
@@ -321,12 +334,6 @@ class ControlPanel:
                 "Price the terms", hint="What each changes and costs here; takes seconds."
             )
             self._prices = gui.add_html("")
-        self._connect(
-            profile,
-            lambda settings: settings.acoustics.profile,
-            lambda name: session.change(acoustics=self._profile(chosen(name, tuple(PROFILES), "profile"))),
-        )
-        self._connect(noise, _shown_noise, self._change_noise)
         for name, handle in self._terms.items():
             self._connect(
                 handle,
@@ -335,11 +342,8 @@ class ControlPanel:
             )
         self._actions.connect_button(self._price, self._find_prices)
 
-    def _profile(self, name: str) -> Acoustics:
-        return Acoustics(profile=name, water=self._session.settings.water)
-
     def _change_noise(self, name: str) -> None:
-        if chosen(name, (*PRESETS, OTHER), "noise") != OTHER:
+        if name != OTHER:
             self._session.change(noise=PRESETS[name])
 
     def _find_prices(self, client) -> None:
@@ -378,7 +382,7 @@ class ControlPanel:
         """Show the prices of some settings, until these change."""
         self._prices.content, self._priced = prices_html(prices), of
 
-    def _add_water(self, settings: LiveSettings) -> None:
+    def _add_water(self) -> None:
         gui, session = self._gui, self._session
         with gui.add_folder("Water", expand_by_default=False):
             for name, label, low, high, step, decimals in (
@@ -420,7 +424,7 @@ class ControlPanel:
             picture,
             lambda client: tell(client, "Picture saved", _place_text(output.save_picture(), ", .npz")),
         )
-        connect(line, lambda client: self._show_command_line(client))
+        connect(line, self._show_command_line)
         connect(job, lambda client: tell(client, "Pose added", f"to {_place_text(output.add_pose_to_job())}"))
 
     def _switch_recording(self, client) -> None:
