@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 
@@ -11,6 +11,7 @@ from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
 from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.imaging.fan_image import ANCHORS
+from sonar_gl.live.motion import SPEED_M_S
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
@@ -29,19 +30,6 @@ OWN = " (given)"  # follows the name of a sonar that a preset has, too
 MAX_OWN = 8  # sonars on offer beside the presets
 PANEL_WIDTH = 330  # pixels of the page
 SHORT_LABELS = {"volume reverberation": "volume reverb."}  # of terms whose names would wrap
-
-
-@dataclass(frozen=True)
-class Steps:
-    """How fast keys move the sonar.
-
-    Attributes
-    ----------
-    speed_m_s, turn_rate_rad_s : metres and radians per second
-    """
-
-    speed_m_s: float = 1.0
-    turn_rate_rad_s: float = 0.5
 
 
 def chosen(value, allowed: Mapping[str, object] | tuple[str, ...], what: str):
@@ -63,6 +51,10 @@ class ControlPanel:
     on_body : action of a body's name that was chosen; "" for none
     on_picture : action of whether the picture lies in the scene
     on_marks : action of whether lines of range and azimuth lie over the picture
+
+    Attributes
+    ----------
+    speed_m_s : of the sonar while a key is held, metres per second
     """
 
     def __init__(
@@ -82,7 +74,7 @@ class ControlPanel:
         self._pricing: Thread | None = None
         self._priced: tuple | None = None  # what the prices on show are of
         self._is_closed = False
-        self.steps = Steps()
+        self.speed_m_s = SPEED_M_S
         settings = session.settings
         self._sonars, self._n_given = dict(presets()), 0
         self._name_of_sonar(session.scene.sonar or settings.sonar)
@@ -198,7 +190,7 @@ class ControlPanel:
             )
             self._add_number(
                 NumberScale("speed, m/s", 0.1, 10.0, 0.1, 1),
-                lambda _settings: self.steps.speed_m_s,
+                lambda _settings: self.speed_m_s,
                 self._set_speed,
                 "Of the sonar while a key is held.",
             )
@@ -208,7 +200,7 @@ class ControlPanel:
         )
 
     def _set_speed(self, speed_m_s: float) -> None:
-        self.steps = replace(self.steps, speed_m_s=speed_m_s)
+        self.speed_m_s = speed_m_s
 
     def _add_sonar(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
