@@ -87,8 +87,9 @@ def few_first_rays():
 
 @pytest.fixture
 def timed_once(monkeypatch):
-    """Has prices of terms time one ping each, for tests that ask for no times."""
+    """Has prices of terms, and `sonar-gl plan`, time one ping each, for tests that ask for no times."""
     monkeypatch.setattr("sonar_gl.analysis.terms.TURNS", 1)
+    monkeypatch.setattr("sonar_gl.cli.plan.TURNS", 1)
 
 
 @pytest.fixture

@@ -1159,8 +1159,8 @@ MUTATIONS = (
     # the SDF reader
     Mutation(
         "sdf/quaternion",
-        "[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)]",
-        "[1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z + y * w)]",
+        "(1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w))",
+        "(1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z + y * w))",
         SDF,
     ),
     Mutation(

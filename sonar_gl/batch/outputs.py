@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain
+from operator import itemgetter
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
@@ -337,7 +338,7 @@ class RosOutput(CountsOutput):
         law = ping.counts_law()
         picture = law.counts_of(fan_image(ping, height, law)) if height else None
         record = PingRecord(request.time_s, sonar, ping, picture, request.vehicle_pose)
-        self._records.append((request.number, len(self._records), record))
+        self._records.append((request.number, record))
 
     def end(self):
         for number, frame in self._optical.frames.items() if self._optical else ():
@@ -346,12 +347,12 @@ class RosOutput(CountsOutput):
                 request.time_s, "camera", frame.pose, intrinsics, frame.rgb, frame.depth_m,
                 request.vehicle_pose,
             )  # fmt: skip
-            self._records.append((number, len(self._records), record))
+            self._records.append((number, record))
         if self._records:
-            self._records.sort(key=lambda entry: entry[:2])
+            self._records.sort(key=itemgetter(0))
             self.names.append(self._part_name(self.part))
             with self.folder.writing(self.names[-1]) as path:
-                write_part(path, (record for *_, record in self._records), self._settings)
+                write_part(path, (record for _, record in self._records), self._settings)
         self._records = []
         return self.names
 

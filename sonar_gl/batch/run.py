@@ -178,7 +178,7 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
     Error
         if there is a batch that shall not be resumed, or one of another job, or other files.
     """
-    folder, job = batch.folder, batch.requests.job
+    folder = batch.folder
     finished = _finished_batches(folder) if settings.mend else set()
     try:
         manifest = Manifest.load(folder)
@@ -186,19 +186,13 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
         if not finished:
             raise
         manifest = None
-    if manifest is not None and not settings.resume:
-        cure = "continue it by --resume, or give another folder"
-        raise Error(f"{folder.url}: must hold no batch yet ({cure})")
-    if manifest is not None and manifest.digest != batch.schema.digest:
-        now, then = job.plain, manifest.job
-        changed = [key for key in sorted({*now, *then} - {*LOCATION_KEYS}) if now.get(key) != then.get(key)]
-        changed += manifest.changed_files(batch.schema.files)
-        what = some_names(changed) if changed else "the contents of a file, of the job or of a scene"
-        raise Error(
-            f"{folder.url}: a batch must be resumed with the job that began it (changed: {what}; restore "
-            "that, or give another folder)"
-        )
-    if manifest is None and finished:
+    if manifest is not None:
+        if not settings.resume:
+            cure = "continue it by --resume, or give another folder"
+            raise Error(f"{folder.url}: must hold no batch yet ({cure})")
+        _check_is_of_job(manifest, batch)
+        return manifest
+    if finished:
         report(f"{folder.path(MANIFEST_NAME)}: is missing or damaged: writing it again")
         manifest = call("begin")
         if finished != {manifest.identity}:
@@ -206,8 +200,7 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
                 f"{folder.url}: {MANIFEST_NAME} must be written again by the job, OpenGL and libraries that began the "
                 "batch (got others than those of the finished parts; restore these, or give another folder)"
             )
-        manifest.save(folder)
-    if manifest is None:
+    else:
         if any(not name.startswith(".") for name in folder.names("")):  # unfinished files begin with a dot
             is_cut = settings.resume and _finished_batches(folder)
             known = f"there is no {MANIFEST_NAME}; --resume --mend makes it again" if is_cut else "got files"
@@ -215,8 +208,22 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
         if settings.resume:
             report("there is no batch yet: beginning one")
         manifest = call("begin")
-        manifest.save(folder)  # from now on the batch can be resumed
+    manifest.save(folder)  # from now on the batch can be resumed
     return manifest
+
+
+def _check_is_of_job(manifest: Manifest, batch: Batch) -> None:
+    """Raise an Error if a manifest is of another job, or of other files."""
+    if manifest.digest == batch.schema.digest:
+        return
+    now, then = batch.requests.job.plain, manifest.job
+    changed = [key for key in sorted({*now, *then} - {*LOCATION_KEYS}) if now.get(key) != then.get(key)]
+    changed += manifest.changed_files(batch.schema.files)
+    what = some_names(changed) if changed else "the contents of a file, of the job or of a scene"
+    raise Error(
+        f"{batch.folder.url}: a batch must be resumed with the job that began it (changed: {what}; restore "
+        "that, or give another folder)"
+    )
 
 
 def _finished_batches(folder: Folder) -> set[str]:

@@ -251,8 +251,18 @@ class Orbit(Trajectory):
         return pose(x, y, self.z_m, 0.0, pitch, yaw)
 
 
+class EvenTrajectory(Trajectory):
+    """A trajectory with the settings `n_pings` and `ping_rate_hz`."""
+
+    def __len__(self):
+        return self.n_pings
+
+    def time_s(self, number):
+        return number / self.ping_rate_hz
+
+
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class SectorScan(Trajectory):
+class SectorScan(EvenTrajectory):
     """A sonar at a fixed position that pans to and fro at a constant rate, as on a pan and tilt unit.
 
     Parameters
@@ -276,12 +286,6 @@ class SectorScan(Trajectory):
     sweep_s: SweepTime
     tilt_rad: Pitch = 0.0
 
-    def __len__(self):
-        return self.n_pings
-
-    def time_s(self, number):
-        return number / self.ping_rate_hz
-
     def pose(self, number):
         share = 1 - abs(number / (self.ping_rate_hz * self.sweep_s) % 2 - 1)
         start, stop = self.pan_rad
@@ -297,7 +301,7 @@ def _ranges_below(slope: float, height: float) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class RandomViews(Trajectory):
+class RandomViews(EvenTrajectory):
     """Random views of a target, by default from all azimuths.
 
     Each ping aims at a point, uniform in the box of the target. The azimuth of the sonar is uniform. Its
@@ -355,12 +359,6 @@ class RandomViews(Trajectory):
         lowest, highest = (math.sin(elevation) for elevation in self.elevation_rad)
         below, above = _ranges_below(lowest, self.z_m[1] - z), _ranges_below(-highest, z - self.z_m[0])
         return max(self.range_m[0], below[0], above[0]), min(self.range_m[1], below[1], above[1])
-
-    def __len__(self):
-        return self.n_pings
-
-    def time_s(self, number):
-        return number / self.ping_rate_hz
 
     def pose(self, number):
         # every ping makes the same nine draws, so that no setting changes the draws of another

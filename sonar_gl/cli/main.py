@@ -21,7 +21,7 @@ import click
 
 from sonar_gl import cli
 from sonar_gl._version import __version__
-from sonar_gl.cli.options import DEVICE, ENGINE, PING_OPTIONS, PathText, option, ping_options, scene_options
+from sonar_gl.cli.options import DEVICE, ENGINE, PathText, option, ping_options
 from sonar_gl.cli.output import echo
 from sonar_gl.core.atomic_file import check_output_file
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError
@@ -165,40 +165,35 @@ Examples:
 
 
 @main.command(epilog=RENDER_EXAMPLES, short_help="Make pings of a scene, and pictures of them.")
-@click.argument("scene", type=PathText())
-@option("sonar", show_default="the scene's, or p900-45")
-@option("pose", show_default="the scene's")
-@option("poses", type=PathText())
-@option("range", type=float)
-@option("bins", type=int)
-@option("profile", "ideal", "demarco2015", "physical", show_default="physical; demarco2015 in that style")
-@option("acoustics", show_default="the profile's")
-@option("water", show_default="the sea at 10 °C")
-@option("range_law", "printed", "constant", "inverse", show_default="printed")
-@option("noise", show_default="physical with that profile, demarco2015 in that style, else none")
-@option("style", "fan", "demarco2015", default="fan")
-@option("counts", show_default="the sonar's")
+@ping_options(
+    poses={"type": PathText()},
+    profile={
+        "type": click.Choice(("ideal", "demarco2015", "physical")),
+        "show_default": "physical; demarco2015 in that style",
+    },
+    range_law={"type": click.Choice(("printed", "constant", "inverse")), "show_default": "printed"},
+    noise={"show_default": "physical with that profile, demarco2015 in that style, else none"},
+    style={"type": click.Choice(("fan", "demarco2015")), "default": "fan"},
+    counts={"show_default": "the sonar's"},
+    colormap={"default": "copper"},
+    axes={"is_flag": True},
+    form={"type": click.Choice(("isotropic", "printed")), "default": "isotropic"},
+    join={"type": click.Choice(("circles", "polygons")), "default": "circles"},
+    height={"type": int, "default": 800},
+    seed={"type": int, "default": 0},
+    formats={
+        "type": click.Choice(("png", "npz", "gif", "mp4")),
+        "multiple": True,
+        "default": ("png", "npz"),
+    },
+    fps={"type": float, "default": 10.0},
+    labels={"is_flag": True},
+    label_level={"type": float, "show_default": "what the display shows above the noise"},
+    out={"default": ".", "type": PathText()},
+    json=None,
+)
 @click.option("--scale", hidden=True, help="Replaced by --counts.")
 @click.option("--db-range", hidden=True, help="Replaced by --counts.")
-@option("colormap", default="copper")
-@option("axes", is_flag=True)
-@option("form", "isotropic", "printed", default="isotropic")
-@option("join", "circles", "polygons", default="circles")
-@option("height", type=int, default=800)
-@option("tolerance", type=float, default=0.01)
-@option("engine", **ENGINE)
-@option("device", **DEVICE)
-@option("seed", type=int, default=0)
-@option("formats", "png", "npz", "gif", "mp4", multiple=True, default=("png", "npz"))
-@option("fps", type=float, default=10.0)
-@option("labels", is_flag=True)
-@option("label_level", type=float, show_default="what the display shows above the noise")
-@option("resource_path", multiple=True, type=PathText())
-@option("skip_missing", is_flag=True)
-@option("without", multiple=True)
-@option("only", multiple=True)
-@option("surface", type=float, show_default="the scene's")
-@option("out", default=".", type=PathText())
 @click.pass_context
 def render(ctx, scene, **options):
     """Make pings of SCENE, a bundled scene (`sonar-gl scenes` lists them) or a file, and pictures of them.
@@ -451,27 +446,21 @@ Examples:
 
 def _emulate_options(**more):
     """Decorate a command that emulates a device: the options of pings that make sense, the network, and `more`."""
-    names = (
-        "pose",
-        "poses",
-        "profile",
-        "water",
-        "acoustics",
-        "engine",
-        "device",
-        "resource_path",
-        "skip_missing",
-        "without",
+    return ping_options(
+        sonar=None,
+        range=None,
+        bins=None,
+        json=None,
+        poses={"type": PathText()},
+        noise={"default": "physical"},
+        tolerance={"type": float, "default": 0.05},
+        counts={"show_default": "the device's"},
+        seed={"type": int, "default": 0},
+        host={"default": "127.0.0.1"},
+        port={"type": click.IntRange(0, 65535), "show_default": "the device's"},
+        duration={"type": float, "show_default": "until Ctrl-C"},
+        **more,
     )
-    options = {name: PING_OPTIONS.get(name, {}) for name in (*names, "only", "surface")}
-    options |= {"poses": {"type": PathText()}}
-    options |= {"noise": {"default": "physical"}, "tolerance": {"type": float, "default": 0.05}}
-    options |= {"counts": {"show_default": "the device's"}}
-    options |= {"seed": {"type": int, "default": 0}, "host": {"default": "127.0.0.1"}}
-    options |= {"port": {"type": click.IntRange(0, 65535), "show_default": "the device's"}}
-    options |= {"duration": {"type": float, "show_default": "until Ctrl-C"}, **more}
-
-    return scene_options(options)
 
 
 @main.group(epilog=EMULATE_EPILOG, short_help="Speak the network protocol of a real sonar.")

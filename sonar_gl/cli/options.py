@@ -76,11 +76,9 @@ class PathText(click.ParamType):
         return os.path.expanduser(value)
 
 
-def option(name: str, *choices: str, **settings):
+def option(name: str, **settings):
     """Return a click option with its help; `formats` becomes --format, other names stay as they are."""
     flag = "--format" if name == "formats" else "--" + name.replace("_", "-")
-    if choices:
-        settings["type"] = click.Choice(choices)
     return click.option(flag, name, help=HELP[name], **settings)
 
 
@@ -135,8 +133,12 @@ PING_OPTIONS = {
 }
 
 
-def scene_options(settings: dict[str, dict]):
-    """Decorate a command on a scene: the argument SCENE and these options, name -> settings, in the order of HELP."""
+def ping_options(**more):
+    """Decorate a command that evaluates pings: the argument SCENE, PING_OPTIONS and `more`, in the order of HELP.
+
+    more : name of an option -> its settings; None leaves out an option of PING_OPTIONS
+    """
+    settings = {name: given for name, given in {**PING_OPTIONS, **more}.items() if given is not None}
 
     def decorate(command):
         for name in reversed([name for name in HELP if name in settings]):
@@ -144,12 +146,3 @@ def scene_options(settings: dict[str, dict]):
         return click.argument("scene", type=PathText())(command)
 
     return decorate
-
-
-def ping_options(**more):
-    """Decorate a command that evaluates pings: the argument SCENE, PING_OPTIONS and `more`, in the order of HELP.
-
-    An option of PING_OPTIONS that is None in `more` is left out.
-    """
-    settings = {name: given for name, given in {**PING_OPTIONS, **more}.items() if given is not None}
-    return scene_options(settings)

@@ -181,20 +181,22 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     return times_s, poses
 
 
-def _fill_from_quaternions(out: np.ndarray, numbers: np.ndarray) -> None:
-    """Write the (N, 4, 4) poses of (N, 7) numbers: x y z qx qy qz qw."""
-    quaternions = numbers[:, 3:]
-    x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
-    out[:] = np.eye(4)
-    out[:, :3, 3] = numbers[:, :3]
-    rows = (
+def rotation_rows(x, y, z, w) -> tuple[tuple, ...]:
+    """Return the three rows of the rotation of a unit quaternion; of arrays, those of several."""
+    return (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
         (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
         (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
-    for i, row in enumerate(rows):
-        for j, value in enumerate(row):
-            out[:, i, j] = value
+
+
+def _fill_from_quaternions(out: np.ndarray, numbers: np.ndarray) -> None:
+    """Write the (N, 4, 4) poses of (N, 7) numbers: x y z qx qy qz qw."""
+    quaternions = numbers[:, 3:]
+    unit = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
+    out[:] = np.eye(4)
+    out[:, :3, 3] = numbers[:, :3]
+    out[:, :3, :3] = np.transpose(rotation_rows(*unit), (2, 0, 1))
 
 
 def _read_rows(path: Path, file: TextIO) -> Iterator[PoseRows]:

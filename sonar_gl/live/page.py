@@ -284,8 +284,7 @@ class ViewerPage:
         self._moved_s = now_s
         keys = {key for state in states.values() for key in state.keys}
         if keys and self._carrier is None:
-            steps = self._controls.steps
-            self._session.move(keys, min(dt_s, LONGEST_STEP_S), steps.speed_m_s, steps.turn_rate_rad_s)
+            self._session.move(keys, min(dt_s, LONGEST_STEP_S), self._controls.speed_m_s)
 
     def _show_frame(self, now_s: float, states: Mapping[int, BrowserState]) -> None:
         with self._frame_lock:

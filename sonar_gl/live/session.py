@@ -126,14 +126,10 @@ class LiveSession:
     def state(self) -> LiveState:
         """Return what the session does now."""
         with self._lock:
-            playback = self._motion.playback()
             return LiveState(
                 settings=self._trial.settings,
                 problem=self._trial.problem,
-                is_following=playback.is_following,
-                is_playing=playback.is_playing,
-                position_s=playback.position_s,
-                duration_s=playback.duration_s,
+                **self._motion.playback()._asdict(),
                 rate_hz=0.0 if self._frame is None else self._frame.rate_hz,
             )
 

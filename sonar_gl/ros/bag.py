@@ -262,12 +262,11 @@ class _PartWriter:
             fixed[:3, :3] = turn
             self._fixed[frame] = types.transform(time_ns, name, frame, fixed)
             # all static transforms each time, since late subscribers get the last message only
-            self._put(TF_STATIC, types.make("tf2_msgs/TFMessage", list(self._fixed.values())))
+            self._put(TF_STATIC, types.transforms(list(self._fixed.values())))
         links = [link for link in links if link[1] not in self._placed]
         self._placed.update(child for _, child, _ in links)
         if links:
-            transforms = [types.transform(time_ns, *link) for link in links]
-            self._put(TF, types.make("tf2_msgs/TFMessage", transforms))
+            self._put(TF, types.transforms([types.transform(time_ns, *link) for link in links]))
         return types.header(time_ns, frame)
 
 

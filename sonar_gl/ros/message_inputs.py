@@ -17,6 +17,7 @@ import numpy as np
 
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
+from sonar_gl.core.poses import rotation_rows
 from sonar_gl.ros.messages import MAX_TIME_S, message_types
 from sonar_gl.scene.scene import Scene
 
@@ -102,15 +103,9 @@ def _matrix(position, orientation) -> np.ndarray:
         raise RefusedError(
             "no rotation", f"the quaternion of a pose must have the length 1 (got {math.sqrt(square):g})"
         )
-    w, x, y, z = (number / math.sqrt(square) for number in (w, x, y, z))
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), place[0]],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), place[1]],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), place[2]],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = rotation_rows(*(number / math.sqrt(square) for number in (x, y, z, w))), place
+    return out
 
 
 def _check_world(frame: str, world: str) -> None:

@@ -92,11 +92,12 @@ def check_positions(path: Path) -> None:
 
 def _form_of_positions(primitive: dict, header: dict) -> str | None:
     """Return in words what the positions of a primitive are if they are no plain numbers; else None."""
-    attributes, accessors = primitive.get("attributes"), _dicts(header, "accessors")
-    number = attributes.get("POSITION") if isinstance(attributes, dict) else None
-    if not is_whole_number(number) or not 0 <= number < len(accessors):
+    attributes = primitive.get("attributes")
+    accessor = _entry(
+        header, "accessors", attributes.get("POSITION") if isinstance(attributes, dict) else None
+    )
+    if accessor is None:
         return None
-    accessor = accessors[number]
     if "sparse" in accessor:
         return "a sparse accessor"
     if "bufferView" not in accessor:
@@ -112,8 +113,7 @@ def _form_of_positions(primitive: dict, header: dict) -> str | None:
 
 def _is_morphed(node: dict, header: dict) -> bool:
     """Return whether a node shows its mesh deformed by morph targets."""
-    number, meshes = node.get("mesh"), _dicts(header, "meshes")
-    mesh = meshes[number] if is_whole_number(number) and 0 <= number < len(meshes) else {}
+    mesh = _entry(header, "meshes", node.get("mesh")) or {}
     weights = node.get("weights", mesh.get("weights"))
     return isinstance(weights, list) and any(weights)
 
@@ -145,9 +145,14 @@ def _dicts(header: dict, key: str) -> list[dict]:
     return [one if isinstance(one, dict) else {} for one in found] if isinstance(found, list) else []
 
 
+def _entry(header: dict, key: str, number) -> dict | None:
+    """Return the object of a number in a list of the header; None if there is none of this number."""
+    found = _dicts(header, key)
+    return found[number] if is_whole_number(number) and 0 <= number < len(found) else None
+
+
 def _view(accessor: dict, header: dict) -> dict:
-    number, views = accessor["bufferView"], _dicts(header, "bufferViews")
-    return views[number] if is_whole_number(number) and 0 <= number < len(views) else {}
+    return _entry(header, "bufferViews", accessor["bufferView"]) or {}
 
 
 def _bytes_of_view(accessor: dict, header: dict) -> int | None:

@@ -115,19 +115,27 @@ def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
         if suffix in mujoco_model.SUFFIXES and Resources(path).parse(path).tag == "mujoco":
             return mujoco_model.read_mjcf(path, resource_paths)
         return read_sdf(what, resource_paths, skip_missing)
-    endings = " ".join(SUFFIXES)
+    raise _no_scene_error(what, path)
+
+
+def _no_scene_error(what, path: Path) -> Error:
+    """Return the error of a name or path that is that of no scene.
+
+    path : without arguments of xacro
+    """
+    endings, suffix, bundled = " ".join(SUFFIXES), path.suffix.lower(), bundled_scenes()
     if suffix in USD_SUFFIXES:
-        raise Error(f"{path}: USD is not read; convert it to .glb, for instance by Blender")
+        return Error(f"{path}: USD is not read; convert it to .glb, for instance by Blender")
     if path.is_dir():
-        raise Error(f"{path}: a folder must be that of a model (it has neither model.config nor model.sdf)")
+        return Error(f"{path}: a folder must be that of a model (it has neither model.config nor model.sdf)")
     if re.search(r"\.xacro\s+\w+=", str(what)) and not path.exists():
-        raise Error(f"{path}: arguments of xacro are given as name:=value, with a colon")
+        return Error(f"{path}: arguments of xacro are given as name:=value, with a colon")
     if path.exists() or suffix or path.name != str(what):
-        raise Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
+        return Error(f"{path}: a scene file must end in one of {endings} (got {suffix!r})")
     hint = nearest_names(str(what), bundled)
     if str(what) in bundled:
         hint = "a Path is that of a file: name a bundled scene by text"
-    raise Error(f"there is no bundled scene {str(what)!r} ({hint}; a file must end in one of {endings})")
+    return Error(f"there is no bundled scene {str(what)!r} ({hint}; a file must end in one of {endings})")
 
 
 def _similar_files(path: Path) -> str:

@@ -28,6 +28,7 @@ MAX_STEP_M = 0.01
 ELEVATION_SUFFIXES = (".tif", ".tiff")  # of height maps whose values are metres
 NO_HEIGHT_M = -9999.0  # stands for a gap in such a file, and so does less, as for Gazebo
 SUFFIXES = (".glb", ".gltf", ".obj", ".stl", ".ply", ".dae")
+TIDY = {".obj": tidy_obj, ".ply": tidy_ply}  # functions of a file's bytes, which make them ready for trimesh
 # of text that is read in double precision: that single precision holds it, too, as whole metres, says nothing
 DECIMAL_SUFFIXES = (".obj",)
 STL_HEAD, STL_TRIANGLE = 84, 50  # bytes of a binary STL: the head ends with the number of triangles
@@ -117,26 +118,7 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
     path = Path(path)
     check_is_file(path)
     try:
-        if path.suffix.lower() == ".dae":
-            scene = _load_collada(path)
-        elif path.suffix.lower() in BUFFER_SUFFIXES:
-            check_accessors(path)
-            check_positions(path)
-            scene = _load(path, resolver=MeshBuffers(path, roots or [path.parent]))
-        elif path.suffix.lower() == ".obj":
-            with errors_at(str(path)):
-                file = io.BytesIO(tidy_obj(path.read_bytes()))
-            scene = _load(file, file_type="obj", resolver=NoFiles(path))
-        elif path.suffix.lower() == ".ply":
-            with errors_at(str(path)):
-                file = io.BytesIO(tidy_ply(path.read_bytes()))
-            scene = _load(file, file_type="ply", resolver=NoFiles(path))
-        elif path.suffix.lower() == ".stl" and (end := _end_of_binary_stl(path)):
-            file = io.BytesIO(path.read_bytes()[:end])
-            scene = _load(file, file_type="stl", resolver=NoFiles(path))
-        else:
-            scene = _load(path, resolver=NoFiles(path))
-        return _read_parts(scene, path)
+        return _read_parts(_load_file(path, roots), path)
     except Error:
         raise
     except (
@@ -145,6 +127,25 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
         raise Error(
             f"{path}: trimesh cannot read this mesh ({type(why).__name__}: {_first_line(why)})"
         ) from None
+
+
+def _load_file(path: Path, roots: Collection[Path]):
+    """Return the trimesh.Scene of a file, after it is checked or made ready for trimesh."""
+    suffix = path.suffix.lower()
+    if suffix == ".dae":
+        return _load_collada(path)
+    if suffix in BUFFER_SUFFIXES:
+        check_accessors(path)
+        check_positions(path)
+        return _load(path, resolver=MeshBuffers(path, roots or [path.parent]))
+    if suffix in TIDY:
+        with errors_at(str(path)):
+            data = TIDY[suffix](path.read_bytes())
+    elif suffix == ".stl" and (end := _end_of_binary_stl(path)):
+        data = path.read_bytes()[:end]
+    else:
+        return _load(path, resolver=NoFiles(path))
+    return _load(io.BytesIO(data), file_type=suffix[1:], resolver=NoFiles(path))
 
 
 def _load(source, **options):

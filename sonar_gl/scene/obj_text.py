@@ -8,6 +8,7 @@ import numpy as np
 
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
+from sonar_gl.scene.primitives import triangulated
 
 # Lines that are indented, names that tabs follow, lines that go on, ends of lines of old Macs, comments after numbers,
 # and corners of faces that are counted back from the face. trimesh leaves out the first two, joins words over the next,
@@ -100,8 +101,6 @@ def _from_start(corner: bytes, counts: list[int]) -> bytes:
 
 def _convex_faces(corners: list[bytes], vertices: list[list[bytes]]) -> list[list[bytes]]:
     """Return the corners of a polygon, or of triangles if it is concave; a polygon that is broken stays as it is."""
-    from mapbox_earcut import triangulate_float64
-
     try:
         points = np.array([vertices[int(corner.split(b"/")[0]) - 1] for corner in corners], np.float64)
     except (ValueError, IndexError):
@@ -114,8 +113,5 @@ def _convex_faces(corners: list[bytes], vertices: list[list[bytes]]) -> list[lis
         return [corners]
     axis = int(np.abs(normal).argmax())
     flat = np.roll(points, -axis - 1, axis=1)[:, :2]  # the other two axes, in the order that keeps the sense
-    faces = triangulate_float64(np.ascontiguousarray(flat), np.array([len(flat)], np.uint32)).reshape(-1, 3)
-    (ux, uy), (wx, wy) = ((flat[faces[:, k]] - flat[faces[:, 0]]).T for k in (1, 2))
-    turned = (ux * wy < uy * wx) != (normal[axis] < 0)
-    faces[turned] = faces[turned][:, ::-1]
+    faces = triangulated(flat, [len(flat)])[:, :: -1 if normal[axis] < 0 else 1]
     return [[corners[k] for k in face] for face in faces] or [corners]

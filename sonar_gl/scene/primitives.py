@@ -128,8 +128,6 @@ def extrude(rings, height: float) -> Shape:
 
     rings : (n, 2) corners of each polygon, in either sense; those inside of another are holes in it
     """
-    from mapbox_earcut import triangulate_float64
-
     rings = [ring if _area(ring) > 0 else ring[::-1] for ring in rings]
     rings.sort(key=_area, reverse=True)
     groups = []  # an outer polygon and the holes in it
@@ -140,17 +138,31 @@ def extrude(rings, height: float) -> Shape:
     for group in groups:
         corners = np.concatenate(group)
         n, ends = len(corners), np.cumsum([len(ring) for ring in group])
-        top = triangulate_float64(corners, ends.astype(np.uint32)).reshape(-1, 3).astype(np.int64)
+        top = triangulated(corners, ends)
         first = np.arange(n)
         following = np.concatenate([np.roll(part, -1) for part in np.split(first, ends[:-1])])
-        (ux, uy), (wx, wy) = ((corners[top[:, k]] - corners[top[:, 0]]).T for k in (1, 2))
-        turned = ux * wy < uy * wx
-        top[turned] = top[turned][:, ::-1]
         vertices += [np.column_stack([corners, np.full(n, z)]) for z in (0.0, height)]
         side = [first, following, following + n], [first, following + n, first + n]
         faces += [count + part for part in (top[:, ::-1], top + n, *(np.column_stack(s) for s in side))]
         count += 2 * n
     return make_shape(np.concatenate(vertices), np.concatenate(faces))
+
+
+def triangulated(corners: np.ndarray, ends) -> np.ndarray:
+    """Return (F, 3) corners of triangles that cover a polygon, counter-clockwise.
+
+    Parameters
+    ----------
+    corners : (n, 2) of the polygon, and of the holes in it
+    ends : number of corners up to the end of each ring
+    """
+    from mapbox_earcut import triangulate_float64
+
+    faces = triangulate_float64(np.ascontiguousarray(corners), np.asarray(ends, np.uint32)).reshape(-1, 3)
+    (ux, uy), (wx, wy) = ((corners[faces[:, k]] - corners[faces[:, 0]]).T for k in (1, 2))
+    turned = ux * wy < uy * wx
+    faces[turned] = faces[turned][:, ::-1]
+    return faces.astype(np.int64)
 
 
 def _area(ring) -> float:

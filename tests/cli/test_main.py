@@ -20,9 +20,7 @@ from PIL import Image
 
 import sonar_gl as sg
 from sonar_gl.acoustics import acoustics as settings
-from sonar_gl.analysis import terms
 from sonar_gl.cli import main as cli
-from sonar_gl.cli import plan
 from sonar_gl.core.poses import pose_numbers, read_poses
 from sonar_gl.gl import context as gl
 from sonar_gl.imaging import files as export
@@ -36,10 +34,8 @@ POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n0.5,0.5,0,0,0,0,0\n1.0,1,0,0,0,0
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path, monkeypatch, timed_once):
     """A folder with a small scene, a small sonar and three poses, which is the working directory."""
-    for module in (plan, terms):  # what `plan` says of times need not be exact
-        monkeypatch.setattr(module, "TURNS", 1)
     monkeypatch.chdir(tmp_path)
     Path("tank.sdf").write_text(SCENE.format(more=SENSOR))
     Path("mute.sdf").write_text(SCENE.format(more=""))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.analysis import reference, terms
+from sonar_gl.analysis import reference
 from sonar_gl.analysis.terms import TERMS, price
 from sonar_gl.cli import plan as costs
 from sonar_gl.cli.report import percent
@@ -25,13 +25,8 @@ QUICK = ("--sonar", "small.toml", "--tolerance", 0.05)
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    """A folder with small scenes, a small sonar and three poses, which is the working directory.
-
-    Pings are timed but once: no test here asks how exact a time is.
-    """
-    for module in (costs, terms):
-        monkeypatch.setattr(module, "TURNS", 1)
+def folder(tmp_path, monkeypatch, timed_once):
+    """A folder with small scenes, a small sonar and three poses, which is the working directory."""
     monkeypatch.chdir(tmp_path)
     Path("tank.sdf").write_text(SCENE.format(WALL + BOX + SENSOR))
     Path("wall.sdf").write_text(SCENE.format(WALL + SENSOR))

@@ -9,8 +9,6 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl import cli
-from sonar_gl.analysis import terms
-from sonar_gl.cli import plan as costs
 from sonar_gl.core.errors import Error
 from tests.support import command_line
 from tests.support.command_line import BOX, SENSOR, SONAR, WALL, run
@@ -24,10 +22,8 @@ QUICK = ("--sonar", "small.toml", "--tolerance", 0.1)
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path, monkeypatch, timed_once):
     """A folder with a scene whose wall has an evil name, a small sonar, and two poses; the working directory."""
-    for module in (costs, terms):  # what `plan` tells of times need not be exact
-        monkeypatch.setattr(module, "TURNS", 1)
     monkeypatch.chdir(tmp_path)
     wall = re.sub(r'(<model name=)"[^"]*"', rf'\1"{EVIL}"', WALL)
     wall = re.sub("<laser_retro>.*?</laser_retro>", "", wall)

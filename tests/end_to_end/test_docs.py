@@ -18,12 +18,11 @@ from click.testing import CliRunner
 from pycocotools.coco import COCO
 
 import sonar_gl as sg
-from sonar_gl.analysis import terms
+from sonar_gl.analysis.terms import TERMS
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.trajectories import KINDS
 from sonar_gl.cli import main as cli
-from sonar_gl.cli import plan as costs
 from sonar_gl.imaging.files import NPZ_FIELDS
 from tests.support.batches import LABELS, make_all, write_plain_job
 from tools import compare_real
@@ -147,9 +146,8 @@ def test_examples_of_docstrings_hold():
 
 
 @pytest.mark.parametrize("words", commands())
-def test_commands_run(words, folder, monkeypatch):
-    for module in (costs, terms):  # what `plan` tells of times need not be exact
-        monkeypatch.setattr(module, "TURNS", 1)
+@pytest.mark.usefixtures("timed_once")
+def test_commands_run(words, folder):
     before = set(folder.rglob("*"))
     if words[1] in ("emulate", "view"):  # it would go on for ever; the device's port may be taken
         words = [*words, "--duration", "0.05", "--port", "0"]
@@ -271,7 +269,7 @@ def test_every_term_has_its_row_in_each_table_of_the_ablation():
     assert set(tables) == {*ablation.SCENES, "cost"}
     for name in ablation.SCENES:
         rows = re.findall(r"^\| ([\w -]+) \|", tables[name], re.MULTILINE)
-        assert rows == ["without", *(term.name for term in terms.TERMS)], name
+        assert rows == ["without", *(term.name for term in TERMS)], name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

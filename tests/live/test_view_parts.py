@@ -12,6 +12,7 @@ import pytest
 from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
+from sonar_gl.embed.camera import SONAR_FROM_OPTICAL
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.live.frame import LiveFrame
 from sonar_gl.live.motion import KEYS
@@ -26,7 +27,6 @@ from sonar_gl.live.view.ping_panel import HELP_HTML, PANEL
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_marks import MarkedPicture, marks_html
 from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
-from sonar_gl.live.view.scene_nodes import SONAR_FROM_CAMERA
 from sonar_gl.sonar.sonar import Sonar, presets
 from tests.support.fan_ping import fan_ping
 
@@ -239,9 +239,9 @@ def test_ranges_are_numbered_and_no_number_covers_another(fov_deg, form):
 def test_sonar_looks_where_its_camera_does():
     # axes of a camera: x right, y down, z ahead; those of a sonar: x ahead, y to port, z up
     right, down, ahead = np.eye(3)
-    assert (SONAR_FROM_CAMERA @ ahead).tolist() == [1, 0, 0]
-    assert (SONAR_FROM_CAMERA @ right).tolist() == [0, -1, 0]
-    assert (SONAR_FROM_CAMERA @ down).tolist() == [0, 0, -1]
+    assert (SONAR_FROM_OPTICAL @ ahead).tolist() == [1, 0, 0]
+    assert (SONAR_FROM_OPTICAL @ right).tolist() == [0, -1, 0]
+    assert (SONAR_FROM_OPTICAL @ down).tolist() == [0, 0, -1]
 
 
 def test_prices_are_a_table_without_zeros_that_were_not_measured():

@@ -9,7 +9,7 @@ Source: github.com/bluerobotics/ping-protocol, src/definitions (common.json, pin
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import accumulate
 
 from sonar_gl.core.errors import Error
@@ -100,9 +100,7 @@ class TransducerSettings:
 
     def data(self, counts: bytes) -> PingMessage:
         """Return the answer to these settings; `counts` are empty if the head turned without transmitting."""
-        fields = self.mode, self.gain_setting, self.angle, self.transmit_duration_us, self.sample_period
-        tail = self.transmit_frequency_khz, self.n_samples, len(counts)
-        return PingMessage(DEVICE_DATA, DATA_PAYLOAD.pack(*fields, *tail) + counts)
+        return PingMessage(DEVICE_DATA, DATA_PAYLOAD.pack(*astuple(self), len(counts)) + counts)
 
 
 @dataclass(frozen=True)
@@ -142,10 +140,9 @@ class Scan:
 
     def data(self, settings: TransducerSettings, counts: bytes) -> PingMessage:
         """Return the message of one of its pings."""
-        one = settings
-        fields = one.mode, one.gain_setting, one.angle, one.transmit_duration_us, one.sample_period
-        tail = one.transmit_frequency_khz, self.start, self.stop, self.step, round(1e3 * self.delay_s)
-        payload = AUTO_DATA_PAYLOAD.pack(*fields, *tail, one.n_samples, len(counts))
+        *fields, n_samples = astuple(settings)
+        sector = self.start, self.stop, self.step, round(1e3 * self.delay_s)
+        payload = AUTO_DATA_PAYLOAD.pack(*fields, *sector, n_samples, len(counts))
         return PingMessage(AUTO_DEVICE_DATA, payload + counts)
 
 

@@ -27,6 +27,10 @@ class SimulatedHead:
     noise : Noise
     track : PoseTrack of the sonar
     tolerance, seed : as for `Simulator` and `Simulator.ping`
+
+    Attributes
+    ----------
+    renderer : name of what draws
     """
 
     def __init__(
@@ -43,12 +47,7 @@ class SimulatedHead:
         self._noise, self._tolerance, self._seed = noise, tolerance, seed
         self._simulators = SimulatorPool(scene)
         self._counts = sonar.counts
-        self._renderer = self._simulators.simulator(sonar, acoustics, tolerance).gl_info["renderer"]
-
-    @property
-    def renderer(self) -> str:
-        """Name of what draws."""
-        return self._renderer
+        self.renderer = self._simulators.simulator(sonar, acoustics, tolerance).gl_info["renderer"]
 
     def ping(
         self, sonar: Sonar, acoustics: Acoustics, time_s: float, number: int, turn: np.ndarray | None = None

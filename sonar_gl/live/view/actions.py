@@ -50,21 +50,21 @@ class Actions:
         with self._changed:
             return key in self._waiting
 
+    def show(self, handle, value) -> None:
+        """Have a control show a value, unless a newer one waits."""
+        if handle.value != value and not self.waits(id(handle)):
+            handle.value = value
+
     def connect(self, handle, action: Callable) -> None:
         """Have an action of a control's value done when somebody changes it in a browser."""
-
-        @handle.on_update
-        async def _(event):
-            if event.client is not None:  # else the page has set it
-                value = handle.value
-                self.ask(event.client, lambda: action(value), id(handle))
+        self.connect_from(handle, lambda _client, value: action(value))
 
     def connect_from(self, handle, action: Callable) -> None:
         """As `connect`, but for an action of the browser (a viser.ClientHandle) and the value."""
 
         @handle.on_update
         async def _(event):
-            if event.client is not None:
+            if event.client is not None:  # else the page has set it
                 value = handle.value
                 self.ask(event.client, lambda: action(event.client, value), id(handle))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 
@@ -11,6 +11,7 @@ from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
 from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.imaging.fan_image import ANCHORS
+from sonar_gl.live.motion import SPEED_M_S
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
@@ -29,19 +30,6 @@ OWN = " (given)"  # follows the name of a sonar that a preset has, too
 MAX_OWN = 8  # sonars on offer beside the presets
 PANEL_WIDTH = 330  # pixels of the page
 SHORT_LABELS = {"volume reverberation": "volume reverb."}  # of terms whose names would wrap
-
-
-@dataclass(frozen=True)
-class Steps:
-    """How fast keys move the sonar.
-
-    Attributes
-    ----------
-    speed_m_s, turn_rate_rad_s : metres and radians per second
-    """
-
-    speed_m_s: float = 1.0
-    turn_rate_rad_s: float = 0.5
 
 
 def chosen(value, allowed: Mapping[str, object] | tuple[str, ...], what: str):
@@ -63,6 +51,10 @@ class ControlPanel:
     on_body : action of a body's name that was chosen; "" for none
     on_picture : action of whether the picture lies in the scene
     on_marks : action of whether lines of range and azimuth lie over the picture
+
+    Attributes
+    ----------
+    speed_m_s : of the sonar while a key is held, metres per second
     """
 
     def __init__(
@@ -82,7 +74,7 @@ class ControlPanel:
         self._pricing: Thread | None = None
         self._priced: tuple | None = None  # what the prices on show are of
         self._is_closed = False
-        self.steps = Steps()
+        self.speed_m_s = SPEED_M_S
         settings = session.settings
         self._sonars, self._n_given = dict(presets()), 0
         self._name_of_sonar(session.scene.sonar or settings.sonar)
@@ -90,7 +82,7 @@ class ControlPanel:
         self._add_sonar(settings)
         self._add_display(settings, on_picture, on_marks)
         self._add_acoustics(settings)
-        self._add_water(settings)
+        self._add_water()
         self._add_bodies(on_body)
         self._add_files()
         server.gui.main_panel.dock_right()
@@ -106,9 +98,7 @@ class ControlPanel:
         for slider, scale, shown in self._numbers:
             _scale_slider(slider, scale.holding(shown(settings)))
         for handle, shown in self._shown:
-            value = shown(settings)
-            if handle.value != value and not self._actions.waits(id(handle)):
-                handle.value = value
+            self._actions.show(handle, shown(settings))
         is_recording = self._session.output.is_recording
         label = "Stop recording" if is_recording else "Record"
         if self._record.label != label:
@@ -123,13 +113,11 @@ class ControlPanel:
 
     def show_mover(self, mover: str) -> None:
         """Show what moves the sonar."""
-        if self._mover.value != mover and not self._actions.waits(id(self._mover)):
-            self._mover.value = mover
+        self._actions.show(self._mover, mover)
 
     def show_body(self, name: str) -> None:
         """Show which body is selected; "" for none."""
-        if self._body.value != (name or NO_BODY) and not self._actions.waits(id(self._body)):
-            self._body.value = name or NO_BODY
+        self._actions.show(self._body, name or NO_BODY)
 
     def _name_of_sonar(self, sonar: Sonar) -> str:
         """Return the name by which the page offers a sonar, which may differ from a preset of its own name.
@@ -175,6 +163,20 @@ class ControlPanel:
             lambda value: change(scale.holding(shown(self._session.settings)).check(value)),
         )
 
+    def _add_choice(
+        self,
+        label: str,
+        options: tuple[str, ...],
+        shown: Callable[[LiveSettings], str],
+        change: Callable[[str], object],
+        hint: str | None = None,
+    ) -> None:
+        """Add a dropdown that shows one of some names, and refuses others."""
+        dropdown = self._gui.add_dropdown(
+            label, options, initial_value=shown(self._session.settings), hint=hint
+        )
+        self._connect(dropdown, shown, lambda name: change(chosen(name, options, label)))
+
     def _add_motion(self, on_mover) -> None:
         gui = self._gui
         movers = (KEYS, CAMERA) + (() if self._session.track is None else (TRAJECTORY,))
@@ -188,7 +190,7 @@ class ControlPanel:
             )
             self._add_number(
                 NumberScale("speed, m/s", 0.1, 10.0, 0.1, 1),
-                lambda _settings: self.steps.speed_m_s,
+                lambda _settings: self.speed_m_s,
                 self._set_speed,
                 "Of the sonar while a key is held.",
             )
@@ -198,7 +200,7 @@ class ControlPanel:
         )
 
     def _set_speed(self, speed_m_s: float) -> None:
-        self.steps = replace(self.steps, speed_m_s=speed_m_s)
+        self.speed_m_s = speed_m_s
 
     def _add_sonar(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
@@ -228,18 +230,16 @@ class ControlPanel:
                 lambda rate_hz: session.change(max_rate_hz=rate_hz),
                 "At most.",
             )
-            engine = gui.add_dropdown(
-                "engine", ENGINES, initial_value=settings.engine or "auto",
-                hint="What makes the pings: opengl, on a graphics card, or cpu; auto takes a card if there is one.",
-            )  # fmt: skip
+            self._add_choice(
+                "engine",
+                ENGINES,
+                lambda settings: settings.engine or "auto",
+                lambda name: session.change(engine=name),
+                "What makes the pings: opengl, on a graphics card, or cpu; auto takes a card if there is one.",
+            )
         self._shown.append((sonar, lambda settings: self._shown_sonar(sonar, settings.sonar)))
         self._actions.connect_from(sonar, self._change_sonar)
         self._connect(self._range, _shown_range, lambda value: session.change(range_m=float(value)))
-        self._connect(
-            engine,
-            lambda settings: settings.engine or "auto",
-            lambda name: session.change(engine=chosen(name, ENGINES, "engine")),
-        )
 
     def _change_sonar(self, client, name: str) -> None:
         """Take another sonar, at the range that is set, or else at one that it allows, and say so."""
@@ -261,11 +261,19 @@ class ControlPanel:
         gui, session = self._gui, self._session
         colormaps = tuple(dict.fromkeys((*COLORMAPS, settings.colormap)))
         with gui.add_folder("Display"):
-            form = gui.add_dropdown(
-                "form", FORMS, initial_value=settings.form,
-                hint="fan: as seen from above. polar: beams side by side, range upwards.",
-            )  # fmt: skip
-            colormap = gui.add_dropdown("colours", colormaps, initial_value=settings.colormap)
+            self._add_choice(
+                "form",
+                FORMS,
+                lambda settings: settings.form,
+                lambda name: session.change(form=name),
+                "fan: as seen from above. polar: beams side by side, range upwards.",
+            )
+            self._add_choice(
+                "colours",
+                colormaps,
+                lambda settings: settings.colormap,
+                lambda name: session.change(colormap=name),
+            )
             own = gui.add_checkbox(
                 "gain of the device", settings.counts is None, hint="As the device sets it; else that below."
             )
@@ -285,16 +293,6 @@ class ControlPanel:
             )
         self._actions.connect(picture, on_picture)
         self._actions.connect(marks, on_marks)
-        self._connect(
-            form,
-            lambda settings: settings.form,
-            lambda name: session.change(form=chosen(name, FORMS, "form")),
-        )
-        self._connect(
-            colormap,
-            lambda settings: settings.colormap,
-            lambda name: session.change(colormap=chosen(name, colormaps, "colours")),
-        )
         self._connect(own, lambda settings: settings.counts is None, self._switch_gain)
 
     def _switch_gain(self, own: bool) -> None:
@@ -313,11 +311,14 @@ class ControlPanel:
     def _add_acoustics(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
         with gui.add_folder("Acoustics and noise", expand_by_default=False):
-            profile = gui.add_dropdown(
-                "profile", tuple(PROFILES), initial_value=settings.acoustics.profile,
-                hint="Sets all terms below; each may be switched by itself after that.",
-            )  # fmt: skip
-            noise = gui.add_dropdown("noise", (*PRESETS, OTHER), initial_value=_shown_noise(settings))
+            self._add_choice(
+                "profile",
+                tuple(PROFILES),
+                lambda settings: settings.acoustics.profile,
+                lambda name: session.change(acoustics=Acoustics(name, water=session.settings.water)),
+                "Sets all terms below; each may be switched by itself after that.",
+            )
+            self._add_choice("noise", (*PRESETS, OTHER), _shown_noise, self._change_noise)
             for name in term_names():
                 label = SHORT_LABELS.get(name, name)
                 self._terms[name] = gui.add_checkbox(label, settings.is_on(name), hint=f"Term: {name}.")
@@ -325,12 +326,6 @@ class ControlPanel:
                 "Price the terms", hint="What each changes and costs here; takes seconds."
             )
             self._prices = gui.add_html("")
-        self._connect(
-            profile,
-            lambda settings: settings.acoustics.profile,
-            lambda name: session.change(acoustics=self._profile(chosen(name, tuple(PROFILES), "profile"))),
-        )
-        self._connect(noise, _shown_noise, self._change_noise)
         for name, handle in self._terms.items():
             self._connect(
                 handle,
@@ -339,11 +334,8 @@ class ControlPanel:
             )
         self._actions.connect_button(self._price, self._find_prices)
 
-    def _profile(self, name: str) -> Acoustics:
-        return Acoustics(profile=name, water=self._session.settings.water)
-
     def _change_noise(self, name: str) -> None:
-        if chosen(name, (*PRESETS, OTHER), "noise") != OTHER:
+        if name != OTHER:
             self._session.change(noise=PRESETS[name])
 
     def _find_prices(self, client) -> None:
@@ -382,7 +374,7 @@ class ControlPanel:
         """Show the prices of some settings, until these change."""
         self._prices.content, self._priced = prices_html(prices), of
 
-    def _add_water(self, settings: LiveSettings) -> None:
+    def _add_water(self) -> None:
         gui, session = self._gui, self._session
         with gui.add_folder("Water", expand_by_default=False):
             for name, label, low, high, step, decimals in (
@@ -424,7 +416,7 @@ class ControlPanel:
             picture,
             lambda client: tell(client, "Picture saved", _place_text(output.save_picture(), ", .npz")),
         )
-        connect(line, lambda client: self._show_command_line(client))
+        connect(line, self._show_command_line)
         connect(job, lambda client: tell(client, "Pose added", f"to {_place_text(output.add_pose_to_job())}"))
 
     def _switch_recording(self, client) -> None:

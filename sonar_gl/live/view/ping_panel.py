@@ -101,9 +101,7 @@ class PingPanel:
             self._show_time(state)
 
     def _show_time(self, state: LiveState) -> None:
-        position_s = min(round(state.position_s, 1), self._position.max)
-        if self._position.value != position_s and not self._actions.waits(id(self._position)):
-            self._position.value = position_s
+        self._actions.show(self._position, min(round(state.position_s, 1), self._position.max))
         label = "Pause" if state.is_playing else "Play"
         if self._play.label != label:
             self._play.label = label

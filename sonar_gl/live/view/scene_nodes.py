@@ -12,6 +12,7 @@ from trimesh.transformations import quaternion_from_matrix, quaternion_matrix
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.embed.camera import SONAR_FROM_OPTICAL
 from sonar_gl.imaging.fan_image import FanGeometry, fan_geometry
 from sonar_gl.live.decimate import BrowserMesh, browser_meshes
 from sonar_gl.live.frame import LiveFrame, Surface
@@ -40,8 +41,6 @@ PLANE_HEIGHT = 320
 # The page's origin is a multiple of it, metres: viser drops moves that are small beside the distance from the origin,
 # in UTM those of metres.
 SITE_STEP_M = 1000.0
-# of a camera: x right, y down, z ahead
-SONAR_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def pose_of(wxyz, position) -> np.ndarray:
@@ -225,7 +224,7 @@ class SceneNodes:
     def camera_pose(self, camera) -> np.ndarray:
         """Return the (4, 4) pose of a sonar that looks as a browser's camera does."""
         out = self._in_world(pose_of(camera.wxyz, camera.position))
-        out[:3, :3] = out[:3, :3] @ SONAR_FROM_CAMERA.T
+        out[:3, :3] = out[:3, :3] @ SONAR_FROM_OPTICAL.T
         return out
 
     def _on_page(self, pose: np.ndarray) -> np.ndarray:

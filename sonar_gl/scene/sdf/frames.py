@@ -9,7 +9,7 @@ import numpy as np
 
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, nearest_names
-from sonar_gl.core.poses import pose
+from sonar_gl.core.poses import pose, rotation_rows
 
 USUAL_ANGLE_RAD = 2.5 * np.pi  # more is nearly always degrees; a little over a turn occurs
 
@@ -52,14 +52,8 @@ def read_pose(element, location: str, large_angles: dict | None = None) -> np.nd
         length = np.linalg.norm(values[3:])
         if length < 1e-6:
             raise Error(f"{location}: a quaternion must not be zero (got {shown(element.text.strip())})")
-        x, y, z, w = values[3:] / length
         out = np.eye(4)
-        out[:3, 3] = values[:3]
-        out[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
+        out[:3, :3], out[:3, 3] = rotation_rows(*values[3:] / length), values[:3]
         return out
     values = read_numbers(element, location, 6)
     if element.get("degrees", "false").strip() in ("true", "1"):

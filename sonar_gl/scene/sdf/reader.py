@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -128,15 +129,33 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     said += [moved] if moved else []
     if said:
         warn_caller(f"{path}: {'; '.join(said)}")
+    _check_missing(path, resources, skip_missing)
+    _warn_of_shapes(path, reader, tree.misplaced, len(bodies))
+    if changed:
+        warn_caller(f"{path}: {'; '.join(changed)}")
+    plumes = _read_plumes(links)
+    _warn_of_angles(path, scope.large_angles)
+    with errors_at(str(path)):
+        sonar_pose, models = sensors[0].pose if sensors else None, dict(models_of(scope, np.eye(4)))
+        return Scene([*bodies, *plumes], sonar_pose, name, **surface, sensors=sensors, models=models)
+
+
+def _check_missing(path: Path, resources: Resources, skip_missing: bool) -> None:
+    """Raise an Error if files are missing or shapes cannot be read; with `skip_missing` warn of them."""
     missing, unsupported = resources.missing(path), resources.unsupported()
-    if missing or unsupported:
+    if not missing and not unsupported:
+        return
+    if not skip_missing:
         message = "\n".join(filter(None, (missing, unsupported)))
-        if not skip_missing:
-            folders = f"Give the folders that hold them ({GIVE_FOLDERS}), or carry"
-            raise Error(f"{message}\n{folders if missing else 'Carry'} on without them ({SKIP_MISSING}True).")
-        without = [f"what is missing ({some_names(resources.missing_uris())})"] if missing else []
-        without += [f"shapes that cannot be read ({unsupported})"] if unsupported else []
-        warn_caller(f"{path}: read without {', and without '.join(without)}")
+        folders = f"Give the folders that hold them ({GIVE_FOLDERS}), or carry"
+        raise Error(f"{message}\n{folders if missing else 'Carry'} on without them ({SKIP_MISSING}True).")
+    without = [f"what is missing ({some_names(resources.missing_uris())})"] if missing else []
+    without += [f"shapes that cannot be read ({unsupported})"] if unsupported else []
+    warn_caller(f"{path}: read without {', and without '.join(without)}")
+
+
+def _warn_of_shapes(path: Path, reader: BodyReader, misplaced: list[str], n_bodies: int) -> None:
+    """Warn of what is assumed of shapes, and of tags of them that are left out."""
     for found, what, reflectivity in (
         (reader.unspecified, "no <laser_retro>", DEFAULT_REFLECTIVITY),
         (reader.saturated, f"<laser_retro> is more than {MAX_RETRO}", 1),
@@ -144,14 +163,14 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         if found:
             names = some_names([name for names in found.values() for name in names])
             warn_caller(
-                f"{path}: {what} in {len(found)} of {len(bodies)} bodies ({names}); "
+                f"{path}: {what} in {len(found)} of {n_bodies} bodies ({names}); "
                 f"their reflectivity is taken as {reflectivity}"
             )
-    if tree.misplaced or reader.misspelt:
-        names = some_names([text.removeprefix(f"{path}: ") for text in (*tree.misplaced, *reader.misspelt)])
+    if misplaced or reader.misspelt:
+        names = _places([*misplaced, *reader.misspelt], path)
         warn_caller(f"{path}: tags that SDF does not know there are left out: {names}")
     if reader.unsized:
-        names = some_names([text.removeprefix(f"{path}: ") for text in reader.unsized])
+        names = _places(reader.unsized, path)
         warn_caller(
             f"{path}: height maps without <size> are 1 m wide and long, which is SDF's default: {names}"
         )
@@ -161,21 +180,20 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
             f"{path}: no <laser_retro> is more than 1 (got {got}), where {MAX_RETRO} stands for a reflectivity of 1; "
             f"multiply them by {MAX_RETRO} if they are reflectivities"
         )
-    if changed:
-        warn_caller(f"{path}: {'; '.join(changed)}")
-    plumes = _read_plumes(links)
-    if scope.large_angles:
-        places, count = (
-            [place.removeprefix(f"{path}: ") for place in scope.large_angles],
-            len(scope.large_angles),
-        )
+
+
+def _warn_of_angles(path: Path, places: Collection[str]) -> None:
+    """Warn of poses whose radians were probably meant as degrees."""
+    if places:
         warn_caller(
-            f"{path}: {count} pose{'s have' if count > 1 else ' has'} angles of more than 2.5π, read as radians, as by "
-            f'Gazebo; if they are degrees, write <pose degrees="true"> ({some_names(places)})'
+            f"{path}: {len(places)} pose{'s have' if len(places) > 1 else ' has'} angles of more than 2.5π, read as "
+            f'radians, as by Gazebo; if they are degrees, write <pose degrees="true"> ({_places(places, path)})'
         )
-    with errors_at(str(path)):
-        sonar_pose, models = sensors[0].pose if sensors else None, dict(models_of(scope, np.eye(4)))
-        return Scene([*bodies, *plumes], sonar_pose, name, **surface, sensors=sensors, models=models)
+
+
+def _places(texts: Iterable[str], path: Path) -> str:
+    """Return some of the places in a file, for a message that names the file."""
+    return some_names([text.removeprefix(f"{path}: ") for text in texts])
 
 
 def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):

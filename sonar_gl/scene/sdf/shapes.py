@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,6 @@ from sonar_gl.scene.sdf.links import Link
 from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sdf.water import is_invisible, is_mark, is_water, surface_z_m
 
-GEOMETRIES = "box, capsule, cone, cylinder, ellipsoid, heightmap, mesh, plane, polyline, sphere"
 # Sizes of the shapes, by which a tag that is misspelt is found: SDF's default would take its place without a word.
 SIZES = {
     "box": ("size",),
@@ -227,10 +227,7 @@ class BodyReader:
             return textured_from_above(shape, path)
 
     def _read_geometry(self, link: Link, element, location: str) -> Shape | None:
-        """Return the shape of a collision or visual; None if `resources` notes that it cannot be had.
-
-        What an element leaves out is SDF's default.
-        """
+        """Return the shape of a collision or visual; None if `resources` notes that it cannot be had."""
         geometry = element.find("geometry")
         if geometry is None or len(geometry) == 0:
             self.resources.note_unsupported(f"{location}: must hold a <geometry> with a shape in it")
@@ -238,49 +235,29 @@ class BodyReader:
         shape = geometry[0]
         location = f"{location}/geometry/{shape.tag}"
         self._note_misspelt(shape, location)
+        if shape.tag in ("mesh", "heightmap"):
+            return self._read_named_file(link, shape, location)
+        if shape.tag in SIZES:
+            return _read_primitive(geometry, location, is_collision=element.tag == "collision")
+        self.resources.note_unsupported(
+            f"{location}: unknown geometry (known are {', '.join(SIZES)}; anything can be a mesh)"
+        )
+        return None
 
-        def get(tag, count=1, default=None, positive=True):
-            if default is not None and shape.find(tag) is None:
-                return default
-            out = read_numbers(shape.find(tag), f"{location}/{tag}", count, positive)
-            return out if count > 1 else out[0]
-
-        if shape.tag == "box":
-            return primitives.box(get("size", 3, (1.0, 1.0, 1.0)))
-        if shape.tag in ("cylinder", "capsule", "cone"):
-            radius_m = 1.0 if shape.tag == "cylinder" else 0.5
-            return getattr(primitives, shape.tag)(get("radius", 1, radius_m), get("length", 1, 1.0))
-        if shape.tag == "sphere":
-            return primitives.sphere(get("radius", 1, 1.0))
-        if shape.tag == "ellipsoid":
-            return primitives.ellipsoid(get("radii", 3, (1.0, 1.0, 1.0)))
-        if shape.tag == "polyline":
-            return _read_polylines(geometry.findall("polyline"), location, get("height", 1, 1.0))
-        if shape.tag == "plane":
-            normal = get("normal", 3, (0.0, 0.0, 1.0), positive=False)
-            if not np.any(normal):
-                got = shape.findtext("normal").strip()
-                raise Error(f"{location}/normal: must not be zero (got {got!r})")
-            infinite = element.tag == "collision"  # its <size> is only for display
-            return (
-                primitives.plane(normal) if infinite else primitives.plane(normal, get("size", 2, (1.0, 1.0)))
-            )
-        if shape.tag not in ("mesh", "heightmap"):
-            self.resources.note_unsupported(
-                f"{location}: unknown geometry (known are {GEOMETRIES}; anything can be a mesh)"
-            )
-            return None
+    def _read_named_file(self, link: Link, shape, location: str) -> Shape | None:
+        """Return the shape of a mesh or height map; None if `resources` notes that it cannot be had."""
         uri = (shape.findtext("uri") or shape.findtext("filename") or "").strip()
         path = self.resources.find(uri, link.scope.folder, f"{location}/uri")
         if path is None:
             return None
+        get = partial(_read_size, shape, location)
         if shape.tag == "heightmap":
-            size, pos = get("size", 3, (1.0, 1.0, 1.0)), get("pos", 3, (0.0, 0.0, 0.0), positive=False)
+            size, pos = get("size", (1.0, 1.0, 1.0)), get("pos", (0.0, 0.0, 0.0), positive=False)
             terrain = self._read_file(location, lambda: mesh_files.heightmap(path, size, pos))
             if terrain is not None and shape.find("size") is None and location not in self.unsized:
                 self.unsized.append(location)
             return terrain
-        scale = get("scale", 3, (1.0, 1.0, 1.0), positive=False)
+        scale = get("scale", (1.0, 1.0, 1.0), positive=False)
         if not np.all(scale):
             raise Error(f"{location}/scale: must not be zero (got {shape.findtext('scale').strip()!r})")
         key = (path, shape.findtext("submesh/name"), (shape.findtext("submesh/center") or "").strip())
@@ -316,6 +293,38 @@ class BodyReader:
         except Error as why:
             self.resources.note_unsupported(str(why))
             return None
+
+
+def _read_primitive(geometry, location: str, is_collision: bool) -> Shape:
+    """Return the shape of a geometry that names no file."""
+    shape = geometry[0]
+    get = partial(_read_size, shape, location)
+    if shape.tag == "box":
+        return primitives.box(get("size", (1.0, 1.0, 1.0)))
+    if shape.tag in ("cylinder", "capsule", "cone"):
+        radius_m = 1.0 if shape.tag == "cylinder" else 0.5
+        return getattr(primitives, shape.tag)(get("radius", radius_m), get("length", 1.0))
+    if shape.tag == "sphere":
+        return primitives.sphere(get("radius", 1.0))
+    if shape.tag == "ellipsoid":
+        return primitives.ellipsoid(get("radii", (1.0, 1.0, 1.0)))
+    if shape.tag == "polyline":
+        return _read_polylines(geometry.findall("polyline"), location, get("height", 1.0))
+    normal = get("normal", (0.0, 0.0, 1.0), positive=False)
+    if not np.any(normal):
+        got = shape.findtext("normal").strip()
+        raise Error(f"{location}/normal: must not be zero (got {got!r})")
+    if is_collision:  # infinite: its <size> is only for display
+        return primitives.plane(normal)
+    return primitives.plane(normal, get("size", (1.0, 1.0)))
+
+
+def _read_size(shape, location: str, tag: str, default, positive: bool = True):
+    """Return the number of a tag of a shape, or as many as the default has; SDF's default if the tag is absent."""
+    if shape.find(tag) is None:
+        return default
+    out = read_numbers(shape.find(tag), f"{location}/{tag}", np.size(default), positive)
+    return out if np.ndim(default) else out[0]
 
 
 def _read_polylines(elements, location: str, height_m: float) -> Shape:
