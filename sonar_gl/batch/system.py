@@ -18,7 +18,7 @@ class System:
 
     Libraries that draw or encode what was computed, such as OpenCV and Zarr, are not among it. Nor is the
     processor, so that a cluster may have several kinds: it may change the last bits of echo and noise,
-    and which face a sample meets at an edge.
+    and weak bins by more.
 
     Attributes
     ----------
