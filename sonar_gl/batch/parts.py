@@ -32,6 +32,7 @@ from sonar_gl.batch.store import (
     SET_ASIDE,
     PingTable,
     SonarGroup,
+    check_groups,
     consolidate,
     create_arrays,
     gather_ping_variables,
@@ -81,12 +82,13 @@ class Batch:
     Raises
     ------
     Error
-        if the job is invalid.
+        if the job is invalid, or Python cannot make its store.
     """
 
     def __init__(self, job: Job, folder: Folder, device: int | None = None, any_system: bool = False):
         self.folder, self.device, self.any_system = folder, device, any_system
         self.requests = BatchRequests(job)
+        check_groups(len(self.requests.sonars))
         self.schema = Schema(self.requests)
         self.table = PingTable(self.requests)
 

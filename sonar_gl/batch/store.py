@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -38,6 +39,15 @@ FLOATS, LABELS = (BloscCodec(cname="lz4", clevel=5, shuffle=how) for how in ("bi
 TABLE_CHUNK_PINGS = 16384  # of arrays with one number per ping
 
 # ---- the store --------------------------------------------------------------------------------------
+
+
+def check_groups(n_sonars: int) -> None:
+    """Raise an Error if Zarr cannot open a group within another: it does a step of that in an `assert`."""
+    if n_sonars > 1 and sys.flags.optimize:
+        raise Error(
+            "a batch of several sonars must run with Python's assertions, without which Zarr opens no group of a "
+            f"sonar (got python -{'O' * sys.flags.optimize}; leave that out, or unset PYTHONOPTIMIZE)"
+        )
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,8 @@
 import io
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from sonar_gl.batch import run as runs
 from sonar_gl.cli.batch import Lines
 from tests.support.command_line import BOX, SENSOR, SONAR, WALL, run
 
+ROOT = Path(__file__).resolve().parents[2]
 POSES = '[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n'
 
 
@@ -69,6 +72,32 @@ def test_an_interrupted_batch_tells_of_its_files_if_there_are_any(name, tmp_path
     monkeypatch.setattr(runs, "run", interrupted)
     files = "; the files written so far are complete" if name == "batch.json" else ""
     assert run("batch", "job.toml", "--out", "made") == (130, "", f"error: interrupted{files}\n")
+
+
+TWO_SONARS = """scenes = ["pylon"]
+[[sonars]]
+name = "level"
+sonar = "p900-45"
+[[sonars]]
+name = "upright"
+sonar = "p900-45"
+mount = [0, 0, 0, 1.57, 0, 0]
+"""
+
+
+def test_several_sonars_are_refused_without_assertions_at_once(tmp_path):
+    """Zarr opens no group within another then: the first part ended with its traceback, after minutes."""
+    (tmp_path / "dive.csv").write_text("t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n")
+    (tmp_path / "job.toml").write_text(TWO_SONARS + POSES)
+    paths = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+    command = [sys.executable, "-O", "-m", "sonar_gl", "batch", "job.toml", "--out", "made"]
+    done = subprocess.run(command, cwd=tmp_path, env=paths, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        "error: a batch of several sonars must run with Python's assertions, without which Zarr opens no group of a "
+        "sonar (got python -O; leave that out, or unset PYTHONOPTIMIZE)\n"
+    )
+    assert not (tmp_path / "made").exists()
 
 
 POSE_ROWS = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,0,0,50,0,0,0\n2,0,0,0,0,0,3\n"
