@@ -161,6 +161,12 @@ MUTATIONS = (
         "even_b = inner if b[m] < -1.0 * bow else",
         ("test_joined_rows",),
     ),
+    Mutation(
+        "footprints/echo of two rows",
+        "mean_of_ends if further < 1.5 else (",
+        "mean_of_ends if further < 0.5 else (",
+        ("test_joined_rows",),
+    ),
     Mutation("footprints/pieces of walls face on", "SLOPE_CHANGE = 1 / 3", "SLOPE_CHANGE = 1e9", (PLANES,)),
     Mutation(
         "footprints/samples behind a strip",
@@ -315,6 +321,18 @@ MUTATIONS = (
         CONES,
     ),
     # sums of columns and of points
+    Mutation(
+        "sums/bubbles across the wrap of azimuth",
+        "turns = math.floor(true / (2 * math.pi) + 0.5)",
+        "turns = 0.0",
+        BUBBLES,
+    ),
+    Mutation(
+        "sums/products of apertures that slide back",
+        "max(further, 0), n_waves + min(further, 0)",
+        "max(further, 0), n_waves",
+        ("test_place_locked_speckle",),
+    ),
     Mutation(
         "sums/bubbles beyond the aperture", "abs(points[n, 1]) < top", "abs(points[n, 1]) < 2 * top", BUBBLES
     ),

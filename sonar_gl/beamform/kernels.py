@@ -104,10 +104,10 @@ class Strip(NamedTuple):
 
 # Rows of `work`, one entry per sample of a strip. Found by `_lay_upright` or `lay_on_cone`: column and row of the
 # sample in the window; the line u = LINE_U + TILT v that the middle of the strip follows there, a tangent if the strip
-# is curved; v of the ray. By `_gather_samples` or `_gather_pieces`: 1/x on the ray, 0 where it met nothing; the plane
+# is curved; v of the ray. By `_gather_samples` or `gather_pieces`: 1/x on the ray, 0 where it met nothing; the plane
 # that it met: 1/x on that line at v = 0, its slope along the line, with v, and its slope along u; the echo per
 # steradian. By `_find_borders`: v where the sample's footprint begins. By `find_faces`: the rows in which another face
-# begins. By `_gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at
+# begins. By `gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at
 # the upper end than in the middle, as a share of it. By `_divide_faces`, until there are footprints: the row in which
 # a piece begins, and a place for the echo at its lower end. By `_find_footprints`: energy; centre and the two
 # half-widths of the footprint in s = 1/r; by how much its density at the nearer end is more than that of an even
@@ -250,7 +250,7 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
             n = _divide_faces(
                 work, plane_echo, lattice, bottom_row, n_faces, (*piece, rise), strips.are_cones
             )
-            first, last = _gather_pieces(work, plane_echo, lattice, bottom_row, n, strips.are_cones)
+            first, last = gather_pieces(work, plane_echo, lattice, bottom_row, n, strips.are_cones)
         else:
             if not strips.are_cones:
                 _lay_upright(work, lattice, middle, bottom_row, n)
@@ -468,7 +468,7 @@ def _divide_faces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_co
 
 
 @uncounted
-def _gather_pieces(work, plane_echo, lattice, bottom_row, n, are_cones):
+def gather_pieces(work, plane_echo, lattice, bottom_row, n, are_cones):
     """Gather what stands for the rows of each of n pieces; return the first and the last with an echo.
 
     The middle row tells the plane, which is that of all rows; and the echo is that of the first, the middle and the

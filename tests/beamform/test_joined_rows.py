@@ -1,5 +1,7 @@
 """Rows of one face are summed as one footprint: what that changes, and what whole faces at once would."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import trimesh
@@ -164,7 +166,7 @@ def test_no_bit_depends_on_what_was_in_memory_beside_a_strip(acoustics, value, m
         (
             [0, 0, 0, 7],
             [0, 3],
-        ),  # number 0 is a face as any other: its rows were lost if no face was before it
+        ),  # number 0 is a face as any other, also in the lowest row
         ([7, 7, 0, 0, 7], [0, 2, 4]),
         ([-1, -1, 3, 4], [0, 2, 3]),  # rows that met nothing are joined, too
         ([0], [0]),
@@ -183,6 +185,28 @@ def test_a_face_begins_where_its_number_changes(numbers, begins, column):
     for outside in (-1.0, 3.0):
         work[kernels.SAMPLE, :n] = outside
         assert kernels.find_faces(work, face_id, 3, bottom, n) == 1
+
+
+def test_the_echo_of_a_piece_is_the_mean_of_its_rows_and_rises_as_they_do():
+    """Exactly, where it is linear and the piece has a middle row, or no more than two rows."""
+    n_rows, begins, step = 11, [0, 1, 3, 6, 11], 0.01
+    lattice = kernels.Lattice(np.array([0.0, step, 0.0]), np.array([0.05, 0.0, step]), -0.2, 0.2, 1, 0.0, 1.0)
+    image = np.empty((n_rows, 1, 4), np.float32)
+    image[..., :3], echo = (0.2, 0.0, 0.0), 0.5 + 0.03125 * np.arange(n_rows)
+    image[:, 0, 3] = echo
+    work = kernels.make_work()
+    work[kernels.SAMPLE, :n_rows] = 0.0
+    work[kernels.LINE_U, 0] = 0.0
+    work[kernels.PIECE, : len(begins)] = begins
+    assert kernels.gather_pieces(work, image, lattice, 0, len(begins) - 1, False) == (0, len(begins) - 2)
+    for k, (begin, past) in enumerate(pairwise(begins)):
+        mean = echo[begin:past].mean()
+        assert work[kernels.ECHO, k] == pytest.approx(mean, rel=1e-12)
+        # of one row nothing tells a rise; of more it is that up to half a row beyond the last
+        rise = 0.03125 * (past - begin) / 2 / mean if past - begin > 1 else 0.0
+        assert work[kernels.ECHO_RISE, k] == pytest.approx(rise, rel=1e-12)
+        rays = 0.05 + step * np.array([begin, past - 1])
+        assert work[[kernels.V_LOWEST, kernels.V_HIGHEST], k] == pytest.approx(rays)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
