@@ -149,6 +149,24 @@ MUTATIONS = (
         "rise if is_slanted else 0.0",
         (SMOOTH_FLOOR,),
     ),
+    Mutation(
+        "footprints/face of number 0",
+        "n_faces += (face != before) | (m == uint64(0))",
+        "n_faces += face != before",
+        ("test_joined_rows",),
+    ),
+    Mutation(
+        "footprints/ends of several rows",
+        "even_b = inner if b[m] < -2.0 * bow else",
+        "even_b = inner if b[m] < -1.0 * bow else",
+        ("test_joined_rows",),
+    ),
+    Mutation(
+        "footprints/echo of two rows",
+        "mean_of_ends if further < 1.5 else (",
+        "mean_of_ends if further < 0.5 else (",
+        ("test_joined_rows",),
+    ),
     Mutation("footprints/pieces of walls face on", "SLOPE_CHANGE = 1 / 3", "SLOPE_CHANGE = 1e9", (PLANES,)),
     Mutation(
         "footprints/samples behind a strip",
@@ -303,6 +321,18 @@ MUTATIONS = (
         CONES,
     ),
     # sums of columns and of points
+    Mutation(
+        "sums/bubbles across the wrap of azimuth",
+        "turns = math.floor(true / (2 * math.pi) + 0.5)",
+        "turns = 0.0",
+        BUBBLES,
+    ),
+    Mutation(
+        "sums/products of apertures that slide back",
+        "max(further, 0), n_waves + min(further, 0)",
+        "max(further, 0), n_waves",
+        ("test_place_locked_speckle",),
+    ),
     Mutation(
         "sums/bubbles beyond the aperture", "abs(points[n, 1]) < top", "abs(points[n, 1]) < 2 * top", BUBBLES
     ),
@@ -593,6 +623,12 @@ MUTATIONS = (
         ("test_interrupts::test_the_first_labels_are_interrupted_where_weights_are_found_and_kept",),
     ),
     # multipath by image sources
+    Mutation(
+        "multipath/slope across of single bounces",
+        "((e0 + c0 * vc) * x_u - b0 * x)",
+        "((e0 + c0 * vc) * x_u)",
+        ("test_single_bounce",),
+    ),
     Mutation("multipath/mean range", "2.0 / (length / q + range_there)", "1.0 / (length / q)", MULTIPATH),
     Mutation(
         "multipath/cosine of the other way",

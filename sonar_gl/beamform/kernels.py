@@ -104,10 +104,10 @@ class Strip(NamedTuple):
 
 # Rows of `work`, one entry per sample of a strip. Found by `_lay_upright` or `lay_on_cone`: column and row of the
 # sample in the window; the line u = LINE_U + TILT v that the middle of the strip follows there, a tangent if the strip
-# is curved; v of the ray. By `_gather_samples` or `_gather_pieces`: 1/x on the ray, 0 where it met nothing; the plane
+# is curved; v of the ray. By `_gather_samples` or `gather_pieces`: 1/x on the ray, 0 where it met nothing; the plane
 # that it met: 1/x on that line at v = 0, its slope along the line, with v, and its slope along u; the echo per
-# steradian. By `_find_borders`: v where the sample's footprint begins. By `_find_faces`: the rows in which another face
-# begins. By `_gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at
+# steradian. By `_find_borders`: v where the sample's footprint begins. By `find_faces`: the rows in which another face
+# begins. By `gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at
 # the upper end than in the middle, as a share of it. By `_divide_faces`, until there are footprints: the row in which
 # a piece begins, and a place for the echo at its lower end. By `_find_footprints`: energy; centre and the two
 # half-widths of the footprint in s = 1/r; by how much its density at the nearer end is more than that of an even
@@ -238,7 +238,7 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
         if n > 0 and face_id.shape[0] > 0 and rise <= JOINED_SHARE * piece[0]:
             if not strips.are_cones:
                 _find_upright(work, lattice, middle, bottom_row, n)
-            n_faces = _find_faces(work, face_id, lattice.columns, bottom_row, n)
+            n_faces = find_faces(work, face_id, lattice.columns, bottom_row, n)
             # pieces that a face as far as the middle one would have, and one more for each
             i = min(max(np.int64(work[SAMPLE, uint64(n >> 1)]), 0), lattice.columns - 1)
             depth_inverse = np.float64(plane_echo[uint64(bottom_row + (n >> 1)), uint64(i), 0])
@@ -250,7 +250,7 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
             n = _divide_faces(
                 work, plane_echo, lattice, bottom_row, n_faces, (*piece, rise), strips.are_cones
             )
-            first, last = _gather_pieces(work, plane_echo, lattice, bottom_row, n, strips.are_cones)
+            first, last = gather_pieces(work, plane_echo, lattice, bottom_row, n, strips.are_cones)
         else:
             if not strips.are_cones:
                 _lay_upright(work, lattice, middle, bottom_row, n)
@@ -364,7 +364,7 @@ def _find_upright(work, lattice, middle, bottom_row, n):
 
 
 @uncounted
-def _find_faces(work, face_id, columns, bottom_row, n):
+def find_faces(work, face_id, columns, bottom_row, n):
     """Find in which of a strip's rows another face begins than in the row below; return how many."""
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     sample, start = work[SAMPLE], work[START]
@@ -390,7 +390,7 @@ def _untried_after(untried, is_tried, are_joined):
 
 @uncounted
 def _find_nearest(work, plane_echo, lattice, m, bottom_row, are_cones):
-    """Return v where the plane that a row meets is nearest along its strip: the zero of D in `_bend_footprints`."""
+    """Return v where the plane that a row meets is nearest along its strip: the zero of D in `bend_footprints`."""
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     u, v = lattice.u, lattice.v
     i, j = np.int64(work[SAMPLE, uint64(m)]), m + bottom_row
@@ -468,7 +468,7 @@ def _divide_faces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_co
 
 
 @uncounted
-def _gather_pieces(work, plane_echo, lattice, bottom_row, n, are_cones):
+def gather_pieces(work, plane_echo, lattice, bottom_row, n, are_cones):
     """Gather what stands for the rows of each of n pieces; return the first and the last with an echo.
 
     The middle row tells the plane, which is that of all rows; and the echo is that of the first, the middle and the
@@ -650,7 +650,7 @@ def _find_footprints(work, strip, elevation_pattern, per_metre):
         work[B, m] = abs(along[m] - at * (vc + uc * tilt[m]) * one_over_L2) * one_over_L * height / 2
         slant[m], inverse_length[m], change[m] = 0.0, one_over_L, 0.0
     if strip.are_joined:
-        _bend_footprints(work, first, last, per_metre)
+        bend_footprints(work, first, last, per_metre)
     n = elevation_pattern.shape[0]
     if n == 0 and not strip.are_joined:
         return
@@ -728,7 +728,7 @@ def _is_slanted(s, a, b, per_metre):
 
 
 @uncounted
-def _bend_footprints(work, first, last, per_metre):
+def bend_footprints(work, first, last, per_metre):
     """Let footprints of several rows end where their planes do, and follow the density in between.
 
     With s = f(v) along the strip, f = (REST + ALONG v) / √w and w = 1 + (LINE_U + TILT v)² + v², the middle of both
@@ -2181,7 +2181,7 @@ def estimate_reflection(
 
 
 @inlined
-def _find_other_leg(work, strip, other):
+def find_other_leg(work, strip, other):
     """Find where a strip's samples lie for the other of S and S', and whether that is before their surface."""
     rest, along_u, along, border = work[REST], work[ALONG_U], work[ALONG], work[BORDER]
     line_u, tilt, first, last = work[LINE_U], work[TILT], strip.first, strip.last
@@ -2311,7 +2311,7 @@ def _find_bistatic(work, begin, end, elevation_pattern):
 
 
 @inlined
-def _find_single_bounce(work, strip, first, last, other, single_bounce):
+def find_single_bounce(work, strip, first, last, other, single_bounce):
     """Find the footprints of echoes that go one way straight and the other by way of the reflector.
 
     first, last : samples of the strip, from the first to before the last
@@ -2403,7 +2403,7 @@ def sum_image_source(work, plane_echo, lattice, strips, bins, elevation_pattern,
         strip = find_strip(work, plane_echo, no_face_id, lattice, strips, p, bins.q_unseen, (0.0, 0.0))
         if strip.first == strip.last:
             continue
-        _find_other_leg(work, strip, frame.other)
+        find_other_leg(work, strip, frame.other)
         _find_rays_by_reflector(work, strip, frame, reflection)
         find_surfaces(leg_x, leg_y, leg_z, strip.first, strip.last, view, seen)
         reflected_first, reflected_last = _keep_seen(work, strip, reflection)
@@ -2420,6 +2420,6 @@ def sum_image_source(work, plane_echo, lattice, strips, bins, elevation_pattern,
                 work, reflected_first, reflected_last, sums, spans, strip.column, bins, SHORT_RAMP
             )
         if first < last:
-            _find_single_bounce(work, strip, first, last, frame.other, reflection.single_bounce)
+            find_single_bounce(work, strip, first, last, frame.other, reflection.single_bounce)
             spread_footprints(work, first, last, sums, spans, strip.column, bins, SHORT_RAMP)
     return is_reflected

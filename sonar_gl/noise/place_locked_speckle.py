@@ -216,7 +216,7 @@ def _dot(a, b):
 
 
 @compiled
-def _add_products(start, matrix, shift, weights, out):
+def add_products(start, matrix, shift, weights, out):
     """Add to out (N, n) the mean products of the fields of nodes with their own, and with those of the n − 1 next ones.
 
     Fields are sums over waves and over bins, so that a product is that of two sums; the real part counts.
@@ -464,7 +464,7 @@ class _WaveSums(NamedTuple):
 
     def add_products_to(self, products: np.ndarray) -> None:
         """Add the mean products of the fields of nodes near each other, (N, TAPS) float64."""
-        _add_products(self.start, self.matrix, self.shift, self.weights, products)
+        add_products(self.start, self.matrix, self.shift, self.weights, products)
 
 
 def _wave_sums(shape: FieldShape, layout: _Layout, cells: tuple[Cell, Cell], waves_of) -> _WaveSums:

@@ -317,6 +317,22 @@ def test_shadows_in_all_directions():
     np.testing.assert_allclose(left, left[0], rtol=0.01)
 
 
+def test_bubbles_on_both_sides_of_the_wrap_of_azimuth_echo_as_those_ahead():
+    sonar = sg.Sonar("round", 900e3, 360, 100, 360.0, 10.0, 1.0, 0.5, 10.5)
+    echoes = []
+    for middle_deg in (0.0, 180.0, 90.0):
+        azimuths = middle_deg + np.array([-1.6, -0.6, 0.4, 2.4])
+        places = [direction(azimuth, 1.0, 5.0) for azimuth in azimuths]
+        by_beam = ping(still(places), sonar=sonar).intensity.sum(axis=1)
+        beams = np.floor((azimuths + 180.0) % 360.0).astype(int)
+        if sonar.azimuth_rad[0] > sonar.azimuth_rad[-1]:
+            beams = 359 - beams
+        np.testing.assert_array_equal(np.flatnonzero(by_beam), np.sort(beams))
+        echoes.append(by_beam[beams])
+    for echo in echoes[1:]:
+        np.testing.assert_allclose(echo, echoes[0], rtol=1e-6)
+
+
 # Settings and poses of plumes
 
 

@@ -1,5 +1,7 @@
 """Rows of one face are summed as one footprint: what that changes, and what whole faces at once would."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import trimesh
@@ -156,3 +158,109 @@ def test_no_bit_depends_on_what_was_in_memory_beside_a_strip(acoustics, value, m
         "body_echo",
     ):
         np.testing.assert_array_equal(getattr(filled, name), getattr(clean, name), err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "begins"),
+    [
+        (
+            [0, 0, 0, 7],
+            [0, 3],
+        ),  # number 0 is a face as any other, also in the lowest row
+        ([7, 7, 0, 0, 7], [0, 2, 4]),
+        ([-1, -1, 3, 4], [0, 2, 3]),  # rows that met nothing are joined, too
+        ([0], [0]),
+    ],
+)
+@pytest.mark.parametrize("column", [0, 2])
+def test_a_face_begins_where_its_number_changes(numbers, begins, column):
+    bottom, n = 2, len(numbers)
+    face_id = np.full((n + 3, 3), 9, np.int32)
+    face_id[bottom : bottom + n, column] = numbers
+    work = kernels.make_work()
+    work[kernels.SAMPLE, :n] = column
+    assert kernels.find_faces(work, face_id, 3, bottom, n) == len(begins)
+    np.testing.assert_array_equal(work[kernels.START, : len(begins) + 1], [*begins, n])
+    # beside the window nothing is met, whatever lies there in memory
+    for outside in (-1.0, 3.0):
+        work[kernels.SAMPLE, :n] = outside
+        assert kernels.find_faces(work, face_id, 3, bottom, n) == 1
+
+
+def test_the_echo_of_a_piece_is_the_mean_of_its_rows_and_rises_as_they_do():
+    """Exactly, where it is linear and the piece has a middle row, or no more than two rows."""
+    n_rows, begins, step = 11, [0, 1, 3, 6, 11], 0.01
+    lattice = kernels.Lattice(np.array([0.0, step, 0.0]), np.array([0.05, 0.0, step]), -0.2, 0.2, 1, 0.0, 1.0)
+    image = np.empty((n_rows, 1, 4), np.float32)
+    image[..., :3], echo = (0.2, 0.0, 0.0), 0.5 + 0.03125 * np.arange(n_rows)
+    image[:, 0, 3] = echo
+    work = kernels.make_work()
+    work[kernels.SAMPLE, :n_rows] = 0.0
+    work[kernels.LINE_U, 0] = 0.0
+    work[kernels.PIECE, : len(begins)] = begins
+    assert kernels.gather_pieces(work, image, lattice, 0, len(begins) - 1, False) == (0, len(begins) - 2)
+    for k, (begin, past) in enumerate(pairwise(begins)):
+        mean = echo[begin:past].mean()
+        assert work[kernels.ECHO, k] == pytest.approx(mean, rel=1e-12)
+        # of one row nothing tells a rise; of more it is that up to half a row beyond the last
+        rise = 0.03125 * (past - begin) / 2 / mean if past - begin > 1 else 0.0
+        assert work[kernels.ECHO_RISE, k] == pytest.approx(rise, rel=1e-12)
+        rays = 0.05 + step * np.array([begin, past - 1])
+        assert work[[kernels.V_LOWEST, kernels.V_HIGHEST], k] == pytest.approx(rays)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+@pytest.mark.parametrize("is_slanted", [False, True])
+@pytest.mark.parametrize("place", [-0.4, 0.3, "below the nearest", "above the nearest"])
+def test_a_footprint_of_several_rows_ends_where_its_plane_does_to_second_order(place, is_slanted, tilt):
+    """By its mean 1/range, its ends, its solid angle and its density there, all of the plane itself."""
+    rest, line, half, at = 0.2, -0.3, 4e-3, 5
+    along = 0.15
+
+    def length(v):
+        return np.sqrt(1 + (line + tilt * v) ** 2 + v * v)
+
+    def s_at(v):
+        return (rest + along * v) / length(v)
+
+    def slope_at(v):
+        return (along - (rest + along * v) * (v + (line + tilt * v) * tilt) / length(v) ** 2) / length(v)
+
+    curve = 1 + tilt * tilt
+    nearest_v = (along * (1 + line * line) - rest * line * tilt) / (rest * curve - along * line * tilt)
+    has_nearest = isinstance(place, str)
+    middle = nearest_v + 0.8 * (half if "above" in place else -half) if has_nearest else place
+    low, high = middle - half, middle + half
+    v, weights = np.polynomial.legendre.leggauss(12)
+    v = middle + half * v
+    work = kernels.make_work()
+    values = {
+        kernels.REST: rest,
+        kernels.ALONG: along,
+        kernels.LINE_U: line,
+        kernels.TILT: tilt,
+        kernels.ENERGY: 2 * half / length(middle) ** 3,
+        kernels.S: s_at(middle),
+        kernels.B: abs(slope_at(middle)) * half,
+        kernels.ECHO_RISE: 0.07,
+    }
+    for row, value in values.items():
+        work[row, : at + 2 * kernels.AT_A_TIME] = value
+    work[kernels.A] = 0.0
+    work[kernels.BORDER, at], work[kernels.BORDER, at + 1] = low, high
+    kernels.bend_footprints(work, at, at + 1, 1e12 if is_slanted else 1e-12)
+    energy, s, b, change = work[[kernels.ENERGY, kernels.S, kernels.B, kernels.NEAR_BIN], at]
+    # of mean and energy the fourth order in `half` is left out, of ends the third; the second is some 1e-5
+    assert energy == pytest.approx(half * (weights / length(v) ** 3).sum(), rel=1e-9)
+    if is_slanted:
+        assert s == pytest.approx((s_at(low) + s_at(high)) / 2, rel=1e-9)
+        assert b == pytest.approx(abs(slope_at(middle)) * half, rel=1e-12)
+        # the solid angle per s is proportional to 1 / (slope times length³), and the echo rises on its own
+        density = slope_at(middle) * length(middle) ** 3
+        there = slope_at(high) * length(high) ** 3
+        assert change == pytest.approx(0.07 + 1 - there / density, rel=1e-6)
+    else:
+        nearest = s_at(nearest_v) if has_nearest else max(s_at(low), s_at(high))
+        assert s == pytest.approx((weights * s_at(v)).sum() / 2, rel=1e-8)
+        assert s + b == pytest.approx(nearest, rel=1e-7)
+        assert change == 0.0

@@ -18,6 +18,7 @@ from sonar_gl.noise.place_locked_speckle import (
     FieldShape,
     WaveCache,
     Waves,
+    add_products,
     place_locked_field,
 )
 from sonar_gl.noise.random_streams import stream
@@ -414,3 +415,25 @@ def test_it_needs_a_pose_and_a_sonar(missing):
         f"noise: the ping must have a {missing} for place-locked speckle, follow_motion=True "
         "(got None; pings of a Simulator have one)"
     )
+
+
+def test_mean_products_of_fields_are_those_of_their_sums_written_out():
+    """Apertures slide along the waves to either side, and patterns along range: with overlaps of all lengths."""
+    rng = np.random.default_rng(4)
+    n_nodes, n_waves, n_weights, n_next = 7, 6, 4, 5
+    start, shift = np.array([9, 12, 10, 3, 3, 11, 20]), np.array([5, 3, 4, 8, 4, 6, 9])
+    matrix = rng.normal(size=(n_nodes, 3, n_waves)).astype(np.float32)
+    weights = rng.normal(size=(n_nodes, n_weights)).astype(np.float32)
+    out = np.ones((n_nodes, n_next))  # which is added to
+    add_products(start, matrix, shift, weights, out)
+    of_waves, of_bins = np.zeros((n_nodes, 2, 40)), np.zeros((n_nodes, 40))
+    for node in range(n_nodes):
+        of_waves[node, :, start[node] : start[node] + n_waves] = matrix[node, :2]
+        of_bins[node, shift[node] : shift[node] + n_weights] = weights[node]
+    expected = np.ones((n_nodes, n_next))
+    for node in range(n_nodes):
+        for aside in range(min(n_next, n_nodes - node)):
+            other = node + aside
+            waves, bins = (of_waves[node] * of_waves[other]).sum(), of_bins[node] @ of_bins[other]
+            expected[node, aside] += 2 * waves * bins
+    np.testing.assert_allclose(out, expected, rtol=1e-5, atol=1e-5)  # float32

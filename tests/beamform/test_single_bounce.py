@@ -1,0 +1,124 @@
+"""Footprints of echoes that go one way straight and the other by way of a reflector, by differences of exact ranges."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels import Strip
+from tests.support.worlds import random_rotation
+
+FIRST, LAST = 2, 42  # samples of the strip
+STEP = 1e-5
+
+
+class Samples:
+    """Random planes that the samples of a strip met, and where the other one of the sonar and its image is."""
+
+    def __init__(self, rng, are_cones):
+        n = LAST + 1
+        self.azimuth_rad, self.k = 0.7, 0.55  # of the sector, and the sine of the cone
+        sine, cosine = math.sin(self.azimuth_rad), math.cos(self.azimuth_rad)
+        self.strip = Strip(0, 0.013, FIRST, LAST, False, are_cones, sine, cosine)
+        self.border = np.linspace(-0.3, 0.25, n)
+        self.line_u, self.tilt = np.full(n, 0.12), np.zeros(n)
+        if are_cones:  # the line through the places of the cone at both ends of a footprint
+            u = [self.u_on_cone(self.k, v) for v in self.border]
+            self.tilt[:-1] = np.diff(u) / np.diff(self.border)
+            self.line_u[:-1] = u[:-1] - self.tilt[:-1] * self.border[:-1]
+        self.q, self.slope_u, self.slope_v = rng.uniform((0.15, -0.2, -0.2), (0.3, 0.2, 0.2), (n, 3)).T
+        self.other = np.column_stack([random_rotation(rng)[:3, :3], rng.uniform(-8, 8, 3)])
+
+    def u_on_cone(self, k, v):
+        """Return u where the direction (1, -u, v) of the sector has the sine k along the array."""
+        sine, cosine = self.strip.sine, self.strip.cosine
+        roots = np.roots([cosine**2 - k**2, -2 * sine * cosine, sine**2 - k**2 * (1 + v * v)])
+        (u,) = (u for u in roots if (sine - cosine * u) * k > 0)
+        return u
+
+    def work(self):
+        """Return `work` as strips are gathered."""
+        out = kernels.make_work()
+        rows = {
+            kernels.BORDER: self.border,
+            kernels.LINE_U: self.line_u,
+            kernels.TILT: self.tilt,
+            kernels.REST: self.q + self.slope_u * self.line_u,
+            kernels.ALONG: self.slope_v + self.slope_u * self.tilt,
+            kernels.ALONG_U: self.slope_u,
+        }
+        for row, values in rows.items():
+            out[row, : len(values)] = values
+        return out
+
+    def place(self, m, u, v):
+        """Return where a plane is met, in the frame of the sector."""
+        return np.array([1.0, -u, v]) / (self.q[m] + self.slope_u[m] * u + self.slope_v[m] * v)
+
+    def ranges(self, m, u, v):
+        """Return how far that is from the one, and from the other."""
+        place = self.place(m, u, v)
+        return np.linalg.norm(place), np.linalg.norm(self.other[:, :3] @ place + self.other[:, 3])
+
+    def s(self, m, u, v):
+        return 2.0 / sum(self.ranges(m, u, v))
+
+    def middle(self, m):
+        v = (self.border[m] + self.border[m + 1]) / 2
+        return self.line_u[m] + self.tilt[m] * v, v
+
+
+@pytest.fixture(params=[False, True], ids=["upright", "cones"])
+def samples(request):
+    return Samples(np.random.default_rng(5), request.param)
+
+
+def test_the_other_one_lies_before_a_plane_or_behind_it(samples):
+    """SIDE is its distance from the plane over that of the one, positive on the same side."""
+    work = samples.work()
+    kernels.find_other_leg.py_func(work, samples.strip, samples.other)
+    there = -samples.other[:, :3].T @ samples.other[:, 3]
+    sides = []
+    for m in range(FIRST, LAST):
+        u, v = samples.middle(m)
+        place = samples.place(m, u, v)
+        expected = samples.other[:, :3] @ place + samples.other[:, 3]
+        np.testing.assert_allclose(
+            work[[kernels.X, kernels.Y, kernels.Z], m], expected, rtol=1e-12, atol=1e-12
+        )
+        normal = np.cross(samples.place(m, u + 0.1, v) - place, samples.place(m, u, v + 0.1) - place)
+        side = normal @ (there - place) / (normal @ (-place))
+        assert work[kernels.SIDE, m] == pytest.approx(side, rel=1e-9, abs=1e-9)
+        sides.append(side)
+    assert min(sides) < 0 < max(sides)
+
+
+def test_single_bounce_footprints_are_those_of_the_mean_of_both_ranges(samples):
+    work, strip = samples.work(), samples.strip
+    rng = np.random.default_rng(6)
+    work[kernels.REFLECTED, :LAST], work[kernels.BISTATIC, :LAST] = rng.uniform(0.1, 1, (2, LAST))
+    kernels.find_other_leg.py_func(work, strip, samples.other)
+    kernels.find_single_bounce.py_func(work, strip, FIRST, LAST, samples.other, 2.0)
+    for m in range(FIRST, LAST):
+        u, v = samples.middle(m)
+        s, (here, there) = samples.s(m, u, v), samples.ranges(m, u, v)
+        assert work[kernels.S, m] == pytest.approx(s, rel=1e-12)
+        across = strip.width
+        if strip.are_cones:  # width is that of the sine of the cone, about the place of the sample
+            length = math.sqrt(1 + u * u + v * v)
+            k = (strip.sine - strip.cosine * u) / length
+            more, less = (samples.u_on_cone(k + d, v) for d in (STEP, -STEP))
+            across *= abs(more - less) / (2 * STEP)
+        half = abs(samples.s(m, u + STEP, v) - samples.s(m, u - STEP, v)) / (2 * STEP) * across / 2
+        # differences over 1e-5 err by its square, and by rounding over it
+        assert work[kernels.A, m] == pytest.approx(half, rel=1e-6, abs=1e-12)
+        low, high = samples.border[m], samples.border[m + 1]
+        ends = [samples.s(m, samples.line_u[m] + samples.tilt[m] * end, end) for end in (low, high)]
+        assert work[kernels.B, m] == pytest.approx(abs(ends[1] - ends[0]) / 2, rel=1e-9, abs=1e-14)
+        solid_angle = across * (high - low) / (1 + u * u + v * v) ** 1.5
+        # spreading there and back, over that of the mean range, by which the bin's gain is
+        spreading = ((here + there) / 2 / there) ** 2
+        strength = 2.0 * work[kernels.REFLECTED, m] * work[kernels.BISTATIC, m]
+        assert work[kernels.ENERGY, m] * s == pytest.approx(strength * spreading * solid_angle, rel=1e-6)
+        assert work[kernels.SLANT, m] == 0.0
