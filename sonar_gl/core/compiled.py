@@ -44,6 +44,15 @@ def compiled(function):
     return _kept(function, OPTIONS)
 
 
+def rounded_alike(function):
+    """Compile a function as `compiled` does, but with the roundings of IEEE 754, which are the same on all processors.
+
+    Else those that multiply and add in one step round once where others do twice: a choice by the least of many numbers
+    then turns out otherwise.
+    """
+    return _kept(function, {**OPTIONS, "fastmath": False})
+
+
 def uncounted(function):
     """Compile a function as `compiled` does, but count no references to arrays in it.
 

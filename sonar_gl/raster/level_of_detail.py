@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.core.compiled import compiled
+from sonar_gl.core.compiled import rounded_alike
 from sonar_gl.raster.simplify import simplify
 from sonar_gl.scene.primitives import closedness, fixed_vertices
 
@@ -60,7 +60,7 @@ class Levels:
     whole: np.ndarray
 
 
-@compiled
+@rounded_alike
 def _normal(points, faces, f, n):
     """Fill n, (3,), with twice the area vector of a face; return its length."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -70,7 +70,7 @@ def _normal(points, faces, f, n):
     return math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
 
 
-@compiled
+@rounded_alike
 def measure_patch(points, faces, box, cone, moment):
     """Fill the box, cone and moment of a patch; see `Levels`."""
     n, low, high = np.empty(3), np.empty(3), np.empty(3)
@@ -102,7 +102,7 @@ def measure_patch(points, faces, box, cone, moment):
                 cone[3] = min(cone[3], cosine)
 
 
-@compiled
+@rounded_alike
 def _longest_axis(points, part):
     """Return the axis, 0..2, along which some of the points, (N, 3), extend furthest; the first of equal ones."""
     low, high = np.full(3, np.inf, points.dtype), np.full(3, -np.inf, points.dtype)
@@ -169,7 +169,7 @@ def _compacted(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.
     return used[:n].copy(), numbered
 
 
-@compiled
+@rounded_alike
 def _compact(vertices, faces, used, numbered):
     """Fill `numbered`, and the first of `used`, with what `_compacted` returns; return how many are used."""
     number = np.full(vertices.shape[0], -1, np.int32)
@@ -200,7 +200,7 @@ def _joined(
     return both[:n].copy(), joined
 
 
-@compiled
+@rounded_alike
 def _join(vertices, faces, more_vertices, more_faces, both, joined):
     """Fill `joined`, and the first of `both`, with what `_joined` returns; return how many vertices there are."""
     count, more = vertices.shape[0], more_vertices.shape[0]

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from sonar_gl.core.compiled import compiled
+from sonar_gl.core.compiled import rounded_alike
 
 MAX_PASSES = 16
 MIN_SQUARED_SINE = 1e-8  # of a face's angle after a collapse
@@ -19,7 +19,7 @@ MIN_NORMAL_COSINE = 0.5  # between a face's normals before and after a collapse
 PASS_SLACK = 1.5  # a pass collapses edges up to this many times the error of the last one it needs
 
 
-@compiled
+@rounded_alike
 def _quadrics(points, faces, quadrics):
     """Add to the quadric of each vertex, (V, 11), the area-weighted squared distance to the planes of its faces."""
     for f in range(faces.shape[0]):
@@ -47,7 +47,7 @@ def _quadrics(points, faces, quadrics):
             q[10] += area
 
 
-@compiled
+@rounded_alike
 def _cost(q, p):
     """Return the mean squared distance of p to the planes of a quadric."""
     x, y, z = p[0], p[1], p[2]
@@ -56,7 +56,7 @@ def _cost(q, p):
     return max(total, 0.0) / max(q[10], 1e-300)
 
 
-@compiled
+@rounded_alike
 def _neighbours(faces, n_vertices):
     """Return the faces around each vertex: offsets of each vertex's list, and the lists of faces."""
     start = np.zeros(n_vertices + 1, np.int32)
@@ -73,7 +73,7 @@ def _neighbours(faces, n_vertices):
     return start, about
 
 
-@compiled
+@rounded_alike
 def _flips(points, faces, start, about, remap, a, b):
     """Return whether moving vertex `a` onto `b` turns a face around `a` too far, or makes it degenerate."""
     for n in range(start[a], start[a + 1]):
@@ -98,7 +98,32 @@ def _flips(points, faces, start, about, remap, a, b):
     return False
 
 
-@compiled
+@rounded_alike
+def _pinches(faces, start, about, remap, a, b):
+    """Return whether moving vertex `a` onto `b` makes one edge of two, at which more faces then meet.
+
+    The two edges lead from `a` and from `b` to one vertex, and no face has both: the link condition of Dey, Edelsbrunner,
+    Guha and Nekhayev, "Topology preserving edge contraction", 1999.
+    """
+    for n in range(start[a], start[a + 1]):
+        i, j, k = remap[faces[about[n], 0]], remap[faces[about[n], 1]], remap[faces[about[n], 2]]
+        if i == j or j == k or k == i or b in (i, j, k):
+            continue
+        for c in (i, j, k):
+            if c == a:
+                continue
+            is_met, is_joined = False, False
+            for m in range(start[b], start[b + 1]):
+                i, j, k = remap[faces[about[m], 0]], remap[faces[about[m], 1]], remap[faces[about[m], 2]]
+                if i == j or j == k or k == i or c not in (i, j, k):
+                    continue
+                is_met, is_joined = True, is_joined or a in (i, j, k)
+            if is_met and not is_joined:
+                return True
+    return False
+
+
+@rounded_alike
 def stable_argsort(costs):
     """Return the order of rising costs, (n,) int64; equal costs stay in their order.
 
@@ -143,7 +168,7 @@ def simplify(points: np.ndarray, faces: np.ndarray, locked: np.ndarray, target: 
     return left[:n_left].copy(), error_m
 
 
-@compiled
+@rounded_alike
 def _simplify(points, faces, locked, target, left):
     """Write the faces of `simplify` to the first rows of `left`; return how many there are, and the error."""
     n_vertices = points.shape[0]
@@ -181,6 +206,8 @@ def _simplify(points, faces, locked, target, left):
                 break
             a, b = pairs[n, 0], pairs[n, 1]
             if touched[a] or touched[b] or _flips(points, faces, start, about, remap, a, b):
+                continue
+            if _pinches(faces, start, about, remap, a, b):
                 continue
             touched[a] = touched[b] = True
             remap[a] = b

@@ -12,6 +12,7 @@ from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu.visibility_buffer import MAX_PATCH_VERTICES
 from sonar_gl.raster.level_of_detail import make_levels
 from sonar_gl.raster.simplify import simplify, stable_argsort
+from tests.support.processes import python
 from tests.support.worlds import terrain
 
 
@@ -66,6 +67,18 @@ def test_a_closed_mesh_stays_closed_and_keeps_locked_vertices(name, share):
     assert euler == (0 if name == "torus" else 2)
     np.testing.assert_array_equal(points, before[0])
     np.testing.assert_array_equal(faces, before[1])
+
+
+@pytest.mark.parametrize("sides", [3, 4])
+def test_a_thin_ring_is_not_pinched(sides):
+    """Around a ring of three sides each edge has a neighbour on the far side, with which it bounds no face."""
+    points, faces = arrays(trimesh.creation.torus(1, 0.05, 96, sides))
+    locked = np.zeros(len(points), bool)
+    for share in (0.6, 0.3, 0.1, 0.0):
+        fewer, _ = simplify(points, faces, locked, int(share * len(faces)))
+        counts, matched = faces_per_edge(fewer)
+        assert matched and (counts == 2).all()
+        assert len(np.unique(fewer)) - len(counts) + len(fewer) == 0  # Euler's number of a ring
 
 
 def test_locked_meshes_do_not_change():
@@ -302,12 +315,34 @@ def test_compiled_functions_do_not_sort():
     package = Path(sg.__file__).parent
     for path in package.rglob("*.py"):
         source = path.read_text(encoding="utf-8")
-        for function in ast.walk(ast.parse(source)) if "@compiled" in source else ():
+        for function in ast.walk(ast.parse(source)) if "core.compiled import" in source else ():
             marks = [ast.unparse(one) for one in getattr(function, "decorator_list", ())]
-            if any(mark.startswith("compiled") for mark in marks):
+            if {"compiled", "inlined", "rounded_alike", "uncounted"} & set(marks):
                 called = {ast.unparse(call.func) for call in ast.walk(function) if isinstance(call, ast.Call)}
                 sorts = {name for name in called if name.endswith((".sort", ".argsort")) or name == "sorted"}
                 assert not sorts, f"{path.name}: {function.name}"
+
+
+LEVELS_OF_A_TERRAIN = """
+import hashlib
+import numpy as np
+from sonar_gl.raster.level_of_detail import make_levels
+from tests.support.processes import python
+from tests.support.worlds import terrain
+
+hills = terrain(np.random.default_rng(3), 50.0, 6.0, 70)
+levels = make_levels(np.float32(hills.vertices), np.int32(hills.faces))
+assert len(levels.n_faces) > 3
+print(hashlib.sha256(levels.vertices.tobytes() + levels.faces.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow  # compiles twice
+def test_levels_are_the_same_on_all_processors(tmp_path):
+    """The naive way multiplies and adds in one step where the processor can, and cuts another mesh."""
+    generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
+    found = [python("-c", LEVELS_OF_A_TERRAIN, environment=one, check=True).stdout for one in ({}, generic)]
+    assert len(found[0]) == 65 and found[0] == found[1]
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3, 1000, 4097])
