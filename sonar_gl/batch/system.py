@@ -17,8 +17,7 @@ class System:
     """What may change pings by rounding, from one machine or day to another.
 
     Libraries that draw or encode what was computed, such as OpenCV and Zarr, are not among it. Nor is the
-    processor, so that a cluster may have several kinds: it may change the last bits of echo and noise,
-    and weak bins by more.
+    processor, so that a cluster may have several kinds: it may change the last bits of echo and noise.
 
     Attributes
     ----------
