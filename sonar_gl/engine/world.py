@@ -222,7 +222,10 @@ class World:
         indices = {body.name: index for index, body in enumerate(scene.bodies[n_before:], n_before)}
         plume_poses, indices = self._plume_poses | plume_poses, self._indices | indices
         # compiled code would look for these bodies in the states of pings that lack them
-        for job in list(self._jobs):
+        jobs = list(self._jobs)
+        for job in jobs:
+            job.check_free()  # all of them first: others may wait for the one that this thread is in the middle of
+        for job in jobs:
             job.settle()
         # all in one step: an interrupt before it leaves the scene without these bodies
         self.engine.contents, self.given_scene, self.scene, self._plume_poses, self._indices = (
