@@ -774,3 +774,27 @@ def test_a_body_that_another_simulator_adds_in_the_middle_of_a_ping_raises_an_er
         assert len(one.scene.bodies) == len(BODIES)
     assert messages
     assert all("must not be used while it makes a ping" in message for message in messages)
+
+
+def test_bodies_that_change_while_another_thread_waits_for_a_pose_are_warned_of(it):
+    """As where a generator waits for the pose of a ROS message; only what a generator itself places is in time."""
+    is_waiting, end = threading.Event(), threading.Event()
+
+    def waiting_poses():
+        is_waiting.set()
+        end.wait(60)
+        yield POSES[0]
+
+    thread = threading.Thread(target=lambda: list(it.pings(waiting_poses())))
+    thread.start()
+    try:
+        assert is_waiting.wait(60)
+        pings = it.pings(POSES)
+        next(pings)
+        it.place({"box": sg.pose(6, -2)})
+        with pytest.warns(UserWarning, match="bodies were placed or added between two pings"):
+            next(pings)
+        pings.close()
+    finally:
+        end.set()
+        thread.join()
