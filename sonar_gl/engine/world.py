@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from contextlib import contextmanager
 from dataclasses import replace
 from weakref import WeakSet
@@ -56,7 +57,7 @@ class World:
         self._kept_meshes = KeptMeshes()
         self.given_scene, self.scene = scene, self._kept_meshes.scene(scene)
         self._users, self.thread, self._jobs = set(), SecondThread(), WeakSet()
-        self.n_changes, self._is_taking_request = 0, False
+        self.n_changes, self._taking = 0, threading.local()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
         self.engine = make_engine(self.scene, engine, device, context)
         self.gl_info = self.engine.driver
@@ -143,17 +144,20 @@ class World:
 
     @contextmanager
     def taking_request(self):
-        """Count no changes for the time of the block: a generator of poses has placed bodies in time."""
+        """Count no changes of this thread for the time of the block: a generator of poses has placed bodies in time."""
         # a generator may take from a sequence itself: the inner block must not end the outer one
-        before = self._is_taking_request
-        self._is_taking_request = True
+        before = self._is_taking_request()
+        self._taking.request = True
         try:
             yield
         finally:
-            self._is_taking_request = before
+            self._taking.request = before
+
+    def _is_taking_request(self) -> bool:
+        return getattr(self._taking, "request", False)
 
     def _count_change(self, has_changed: bool) -> None:
-        self.n_changes += has_changed and not self._is_taking_request
+        self.n_changes += has_changed and not self._is_taking_request()
 
     def _moved(self, bodies) -> tuple[SceneState, dict]:
         state = self.engine.meshes.state
@@ -222,7 +226,10 @@ class World:
         indices = {body.name: index for index, body in enumerate(scene.bodies[n_before:], n_before)}
         plume_poses, indices = self._plume_poses | plume_poses, self._indices | indices
         # compiled code would look for these bodies in the states of pings that lack them
-        for job in list(self._jobs):
+        jobs = list(self._jobs)
+        for job in jobs:
+            job.check_free()  # all of them first: others may wait for the one that this thread is in the middle of
+        for job in jobs:
             job.settle()
         # all in one step: an interrupt before it leaves the scene without these bodies
         self.engine.contents, self.given_scene, self.scene, self._plume_poses, self._indices = (

@@ -14,16 +14,17 @@ from __future__ import annotations
 import os
 from collections import deque
 from contextlib import ExitStack
-from threading import Lock
 from typing import NamedTuple, Protocol
 
 import moderngl
 
-from sonar_gl.core.worker import held
+from sonar_gl.core.worker import ThreadLock
 
 # A context that has ended cannot always be told from one that is not current. Each group is tried again at
 # every ping, so that beyond this number the oldest are given up.
 MAX_UNREACHABLE = 1000
+
+IN_USE = "objects must not wait for their own release"
 
 
 class Releasable(Protocol):
@@ -83,7 +84,7 @@ class ReleaseQueue:
     def __init__(self):
         self._discarded: deque[tuple[Releasable, ...]] = deque()
         self._unreachable: deque[tuple[Releasable, ...]] = deque(maxlen=MAX_UNREACHABLE)
-        self._releasing = Lock()
+        self._releasing = ThreadLock(IN_USE)
 
     def discard(self, *objects: moderngl.Context | Releasable) -> None:
         """Have objects of one context released by a later `release_waiting`, in this order.
@@ -102,17 +103,15 @@ class ReleaseQueue:
     def release_waiting(self) -> None:
         """Release all waiting objects that are in reach.
 
-        Not to be called inside a `with context` block. A framebuffer that a host draws into is out of reach.
+        Not to be called inside a `with context` block. A framebuffer that a host draws into is out of reach. A signal
+        handler that comes while its thread releases leaves all to that release, or to a later one.
         """
-        with held(self._releasing):
-            for queue in (self._unreachable, self._discarded):
-                for _ in range(len(queue)):
-                    group = queue.popleft()
-                    try:
-                        self._release(group)
-                    except KeyboardInterrupt:
-                        self._discarded.append(group)
-                        raise
+        with self._releasing.held_if_free() as is_held:
+            if is_held:
+                self._release_all()
+        if is_held is False:  # another thread held it
+            with self._releasing.held():
+                self._release_all()
 
     def waiting(self) -> Waiting:
         """Return how much waits to be released."""
@@ -120,9 +119,19 @@ class ReleaseQueue:
 
     def forget(self) -> None:
         """Empty the queue in a forked process: the objects are the parent's."""
-        self._releasing = Lock()  # another thread of the parent may hold the old one
+        self._releasing = ThreadLock(IN_USE)  # another thread of the parent may hold the old one
         self._discarded.clear()
         self._unreachable.clear()
+
+    def _release_all(self) -> None:
+        for queue in (self._unreachable, self._discarded):
+            for _ in range(len(queue)):
+                group = queue.popleft()
+                try:
+                    self._release(group)
+                except KeyboardInterrupt:
+                    self._discarded.append(group)
+                    raise
 
     def _release(self, group: tuple[Releasable, ...]) -> None:
         # Whether a context is gone shows when it is tried.

@@ -13,7 +13,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.worker import JobThread
-from sonar_gl.engine import ping_worker, pipeline, sequence
+from sonar_gl.engine import ping_worker, pipeline, sequence, world
 from sonar_gl.engine.run import Run
 from sonar_gl.ping import BIN_LABELS
 from tests.support.estimates import record_estimates
@@ -747,3 +747,54 @@ def test_a_body_that_another_simulator_adds_waits_for_the_pings_that_are_being_m
         for ping in found:
             np.testing.assert_array_equal(ping.intensity, want.intensity)
             np.testing.assert_array_equal(ping.body_id, want.body_id)
+
+
+@pytest.mark.timeout(60, method="thread")  # a hang is one that no signal ends
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_a_body_that_another_simulator_adds_in_the_middle_of_a_ping_raises_an_error(engine, monkeypatch):
+    """A signal handler, which waited for ever for a later ping of the thread whose ping it interrupted."""
+    later_first = type("LaterFirst", (list,), {"add": lambda jobs, job: jobs.insert(0, job)})
+    monkeypatch.setattr(world, "WeakSet", later_first)
+    with simulator(engine=engine) as one, sg.Simulator(one, SONAR, sg.Acoustics.ideal(), SAMPLING) as other:
+        expected, messages = [ping.intensity for ping in one.pings(POSES)], []
+        receive = pipeline.receive
+
+        def receive_and_add(drawn):
+            if threading.current_thread() is threading.main_thread():
+                with pytest.raises(sg.Error) as caught:
+                    other.add(sg.Body(f"more {len(messages)}", BALL, sg.pose(4)))
+                messages.append(str(caught.value))
+            return receive(drawn)
+
+        for module in (ping_worker, sequence):
+            monkeypatch.setattr(module, "receive", receive_and_add)
+        monkeypatch.setattr(JobThread, "submit", lambda *_: None)  # the caller makes all of them
+        for ping, right in zip(one.pings(POSES), expected, strict=True):
+            np.testing.assert_array_equal(ping.intensity, right)
+        assert len(one.scene.bodies) == len(BODIES)
+    assert messages
+    assert all("must not be used while it makes a ping" in message for message in messages)
+
+
+def test_bodies_that_change_while_another_thread_waits_for_a_pose_are_warned_of(it):
+    """As where a generator waits for the pose of a ROS message; only what a generator itself places is in time."""
+    is_waiting, end = threading.Event(), threading.Event()
+
+    def waiting_poses():
+        is_waiting.set()
+        end.wait(60)
+        yield POSES[0]
+
+    thread = threading.Thread(target=lambda: list(it.pings(waiting_poses())))
+    thread.start()
+    try:
+        assert is_waiting.wait(60)
+        pings = it.pings(POSES)
+        next(pings)
+        it.place({"box": sg.pose(6, -2)})
+        with pytest.warns(UserWarning, match="bodies were placed or added between two pings"):
+            next(pings)
+        pings.close()
+    finally:
+        end.set()
+        thread.join()

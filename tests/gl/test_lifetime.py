@@ -104,6 +104,17 @@ def test_finalisers_may_discard_while_others_are_released(make, released, queue)
     assert released == ["new"]
 
 
+@pytest.mark.timeout(60, method="thread")  # a hang is one that no signal ends
+def test_a_signal_handler_may_release_while_others_are_released(make, released, queue):
+    """It makes a ping of another scene; it waited for ever for the lock that its own thread holds."""
+    for name in ("one", "other"):
+        one = make(name)
+        one.release = lambda name=name: (released.append(name), queue.release_waiting())
+        queue.discard(one)
+    queue.release_waiting()
+    assert released == ["one", "other"] and queue.waiting() == (0, 0)
+
+
 def test_one_that_fails_does_not_keep_the_others_of_its_group(make, released, queue):
     broken = make("broken")
 
