@@ -300,7 +300,8 @@ def test_a_strong_target_has_side_lobes_in_azimuth(taper, highest_db):
     elif taper == "taylor":
         null *= 1.5
     side = (off > null) & (off < support - 0.1)
-    assert 10 * np.log10(power[side].max()) == pytest.approx(highest_db, abs=0.6)
+    # beams miss the peak by half of their spacing at most, a 23rd of a lobe's width, where it is 0.08 dB lower
+    assert 10 * np.log10(power[side].max()) == pytest.approx(highest_db, abs=0.1)
     assert power[side].min() < power[side].max() / 10  # nulls between
     assert not power[off > support + 0.15].any()
 

@@ -30,14 +30,14 @@ def power(x, taper):
 @pytest.mark.parametrize(
     ("taper", "width", "first_null", "side_lobe_db"),
     # Harris 1978, Table 1: -13 and -43 dB, widths 0.89 and 1.30; these are exact, of continuous tapers
-    [("uniform", 0.885893, 1.0, -13.2615), ("hamming", 1.302982, 2.0, -42.67)],
+    [("uniform", 0.885893, 1.0, -13.2615), ("hamming", 1.302982, 2.0, -42.675)],
 )
 def test_width_null_and_side_lobes_of_the_response(taper, width, first_null, side_lobe_db):
     assert power(0.0, taper) == 1
     assert power([-width / 2, width / 2], taper) == pytest.approx(0.5, abs=2e-6)
     assert power(first_null, taper) == pytest.approx(0, abs=1e-20)
     beyond = power(np.linspace(first_null, 40, 400_001), taper)
-    assert 10 * np.log10(beyond.max()) == pytest.approx(side_lobe_db, abs=0.05)
+    assert 10 * np.log10(beyond.max()) == pytest.approx(side_lobe_db, abs=1e-4)
 
 
 @pytest.mark.parametrize("taper", PULSE_TAPERS)
@@ -130,7 +130,7 @@ def test_the_level_of_a_floor_and_of_a_ball_is_that_of_the_cell():
         # the second is of the ball, the largest bin: where bins lie matters
         assert abs(apart[0]) < 0.01 and abs(apart[1]) < 0.1
         naive = levels_db[False, parts] - levels_db[False, 1]
-        assert naive[0] == pytest.approx(-10 * np.log10(parts), abs=0.1)
+        assert naive[0] == pytest.approx(-10 * np.log10(parts), abs=0.01)
 
 
 def test_the_matched_filter_keeps_energy_except_at_the_ends():
@@ -155,7 +155,7 @@ def test_kernels_may_be_longer_than_the_ping(n_bins):
     echo = np.random.default_rng(0).random((3, n_bins)).astype(np.float32)
     middle = len(weights) // 2
     expected = [np.convolve(row, weights)[middle : middle + n_bins] for row in echo]
-    np.testing.assert_allclose(matched_filter(echo, weights), expected, rtol=1e-4)
+    np.testing.assert_allclose(matched_filter(echo, weights), expected, rtol=1e-5)  # float32 sums
     assert matched_filter(echo, np.ones(1, np.float32)).tolist() == echo.tolist()
 
 

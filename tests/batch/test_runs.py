@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -19,6 +18,7 @@ from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.pool import Pool
 from tests.support.batches import LABELS, files_of, make_all, write_job, write_plain_job
+from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 N, PART = 48, 4
@@ -55,11 +55,12 @@ def workers_of(process) -> list[int]:
 
 def wait_for_parts(folder: Path, count: int, process):
     """Wait until so many parts are done."""
-    deadline = time.monotonic() + 60
-    while len(list((folder / "parts").glob("*.json"))) < count:
+
+    def are_done():
         assert process.poll() is None, finish(process)
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+        return len(list((folder / "parts").glob("*.json"))) >= count
+
+    wait_until(are_done)
 
 
 @pytest.fixture(scope="module")
@@ -142,10 +143,8 @@ def test_a_batch_can_be_resumed_whatever_stopped_it(job, expected, tmp_path):
     process.kill()
     process.communicate()
     assert len(workers) == 2
-    deadline = time.monotonic() + 10
-    while any(Path(f"/proc/{worker}").exists() for worker in workers):  # they do not outlive it
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    # they do not outlive it
+    wait_until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
     second = files_of(out / "parts")
     assert len(first) < len(second) < 2 * N / PART
     times = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.suffix == ".json"}

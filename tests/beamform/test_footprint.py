@@ -121,7 +121,7 @@ def test_a_footprint_keeps_its_energy():
     for _ in range(300):
         s = 1 / rng.uniform(2, 25)
         a, b = s * 0.05 * rng.random(2) ** 3
-        assert spread(s, a, b).sum() == pytest.approx(s, rel=1e-5)  # all bins in range: s ∫ p = s
+        assert spread(s, a, b).sum() == pytest.approx(s, rel=1e-6)  # all bins in range: s ∫ p = s
 
 
 def test_footprints_outside_the_bins_add_nothing():
@@ -154,7 +154,7 @@ def test_neighbouring_rows_leave_no_gaps_or_rings():
         total += spread(-v / h, 0.0, half / h, energy=1.0)
     inner = (EDGES[1:] < 29) & (EDGES[:-1] > h / 0.16 + 0.2)
     want = -np.diff(1 / EDGES**2) / 2 * h / (2 * half)
-    np.testing.assert_allclose(total[inner], want[inner], rtol=1e-4)
+    np.testing.assert_allclose(total[inner], want[inner], rtol=1e-6)
 
 
 def test_many_footprints_are_the_sum_of_each():

@@ -581,7 +581,7 @@ for name in main.commands:
     main([name, "--help"], standalone_mode=False)
 print("loaded", *(name for name in {HEAVY} if name in sys.modules))
 """
-    done = python("-c", code, check=True)
+    done = python("-c", code, check=True, encoding="utf-8")  # of commands, whatever the locale
     assert done.stdout.splitlines()[-1] == "loaded"
 
 

@@ -7,6 +7,7 @@ import re
 import threading
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from sonar_gl.cli import render as command
 from sonar_gl.cli.render import WRITERS, BackgroundCalls
 from sonar_gl.core import atomic_file
 from tests.support.command_line import BOX, SENSOR, SONAR, WALL, run
+from tests.support.waiting import WAIT_S, wait_until
 
 FRAMES = 8
 POSES = "t,x,y,z,roll,pitch,yaw\n" + "".join(f"{n},{n / 10},0,0,0,0,0\n" for n in range(FRAMES))
@@ -53,7 +55,7 @@ def test_calls_do_not_wait_and_the_block_waits_for_all():
     go, done = threading.Event(), []
 
     def slow(number):
-        go.wait(10)
+        assert go.wait(WAIT_S)
         done.append(number)
 
     with BackgroundCalls() as calls:
@@ -97,21 +99,29 @@ def test_an_error_comes_out_at_once_and_once():
         calls.start(broken, 7)  # told at the end
 
 
-def test_leaving_early_ends_what_has_begun_and_begins_no_more():
-    begun, ended, started = [], [], threading.Event()
+def test_leaving_early_ends_what_has_begun_and_begins_no_more(monkeypatch):
+    begun, ended, may_end = [], [], threading.Event()
+
+    class Pool(ThreadPoolExecutor):
+        """Lets calls end once it is told to begin no more."""
+
+        def shutdown(self, wait=True, **options):
+            super().shutdown(wait=False, **options)
+            may_end.set()
+            super().shutdown(wait=wait)
 
     def slow(number):
         begun.append(number)
-        started.set()
-        time.sleep(0.05)
+        assert may_end.wait(WAIT_S)
         ended.append(number)
 
+    monkeypatch.setattr(command, "ThreadPoolExecutor", Pool)
     with pytest.raises(KeyboardInterrupt), BackgroundCalls() as calls:
         for number in range(WRITERS + 1):
             calls.start(slow, number)
-        started.wait(10)
+        wait_until(lambda: len(begun) == WRITERS)
         raise KeyboardInterrupt
-    assert sorted(begun) == sorted(ended) and 1 <= len(ended) <= WRITERS + 1
+    assert sorted(begun) == sorted(ended) == list(range(WRITERS))
     assert not [t.name for t in threading.enumerate() if t.name.startswith("writer")]
 
 

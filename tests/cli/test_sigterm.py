@@ -97,5 +97,5 @@ main()
     (tmp_path / "poses.csv").write_text(poses)
     options = ["--poses", tmp_path / "poses.csv", "--profile", "ideal", "--bins", "20", "--height", "40"]
     options += ["--format", "mp4", "--out", tmp_path / "out", "--engine", "cpu"]
-    done = python("-c", code, str(ignored), "render", "pylon", *map(str, options))
+    done = python("-c", code, str(ignored), "render", "pylon", *map(str, options), timeout=WAIT_S)
     assert (done.returncode, os.listdir(tmp_path / "out")) == expected

@@ -5,7 +5,6 @@ import gc
 import math
 import pickle
 import threading
-import time
 import warnings
 from dataclasses import replace
 
@@ -28,6 +27,7 @@ from tests.support.casting import Cast, box, cylinder, plane, sphere
 from tests.support.closed_forms import box_beams, cylinder_echo, plane_echo
 from tests.support.forks import in_fork
 from tests.support.main_lobe import main_lobe_alone
+from tests.support.waiting import wait_until
 
 IDEAL = sg.Acoustics.ideal()
 AHEAD = sg.Camera.of_fov(2, 2, fov_x_rad=1.0).rotation
@@ -791,13 +791,8 @@ def test_many_camera_rigs_do_not_leak_threads():
             sensor.ping_from_depth(np.full((40, 60 + 2 * k), 5.0), camera)
             if k == 3:
                 most = threading.active_count()
-        ended_by = time.monotonic() + 10  # threads end with a delay
-        while threading.active_count() > most and time.monotonic() < ended_by:
-            time.sleep(0.01)
-        assert threading.active_count() <= most
-    while threading.active_count() > before and time.monotonic() < ended_by:
-        time.sleep(0.01)
-    assert threading.active_count() <= before
+        wait_until(lambda: threading.active_count() <= most)  # threads end with a delay
+    wait_until(lambda: threading.active_count() <= before)
 
 
 @pytest.mark.slow

@@ -77,14 +77,15 @@ def test_db_scale_is_fixed():
     one = fan_image(fan_ping(fill=1e-3), 200)
     two = fan_image(fan_ping(fill=2e-3), 200)
     inside = one > 0
-    assert one[inside] == pytest.approx(0.5, abs=1e-4)
-    assert two[inside] - one[inside] == pytest.approx(10 * math.log10(2) / 60, abs=1e-4)
-    assert fan_image(fan_ping(fill=1.0), 200).max() == pytest.approx(1.0, abs=1e-5)
+    # float32 of numbers up to 1
+    assert one[inside] == pytest.approx(0.5, abs=1e-6)
+    assert two[inside] - one[inside] == pytest.approx(10 * math.log10(2) / 60, abs=1e-6)
+    assert fan_image(fan_ping(fill=1.0), 200).max() == pytest.approx(1.0, abs=1e-6)
     assert fan_image(fan_ping(fill=7.0), 200).max() == 1.0
     assert not fan_image(fan_ping(fill=1e-6), 200).any()
     assert not fan_image(fan_ping(fill=0.0), 200).any()
     wide = fan_image(fan_ping(fill=1e-3), 200, counts=Counts(low_db=-40, high_db=-20))
-    assert wide[inside] == pytest.approx(0.5, abs=1e-4)
+    assert wide[inside] == pytest.approx(0.5, abs=1e-6)
 
 
 @pytest.mark.parametrize(("fill", "value"), [(0.25, 0.25), (3.0, 1.0), (-1.0, 0.0)])
@@ -98,7 +99,10 @@ def test_fan_fills_its_area_alone(fov_deg):
     ping = fan_ping(fov_deg, range_m=(5.0, 20.0), fill=1.0)
     image, geometry = fan_image(ping, 500), fan_geometry(ping, 500)
     area = math.radians(fov_deg) / 2 * (20**2 - 5**2) * geometry.pixels_per_m**2
-    assert (image > 0).sum() == pytest.approx(area, rel=0.01)
+    # pixels round along the rim; it lies a quarter of a pixel aside at most, on the average
+    arcs_m, sides_m = math.radians(fov_deg) * (20 + 5), 2 * (20 - 5) * (fov_deg < 360)
+    rim = (arcs_m + sides_m) * geometry.pixels_per_m
+    assert (image > 0).sum() == pytest.approx(area, abs=rim / 4)
     assert set(np.unique(image > 0.999)) == {False, True} and ((image == 0) | (image > 0.999)).all()
 
 
@@ -121,7 +125,7 @@ def test_full_circle_has_no_seam():
     image = fan_image(ping, 400, counts=LINEAR)
     turned = fan_ping(360, n_beams=48)
     turned.intensity[:] = np.roll(ping.intensity, 24, axis=0)
-    np.testing.assert_allclose(fan_image(turned, 400, counts=LINEAR)[::-1, ::-1], image, rtol=0, atol=0.01)
+    np.testing.assert_allclose(fan_image(turned, 400, counts=LINEAR)[::-1, ::-1], image, rtol=0, atol=1e-6)
     steps = np.abs(np.diff(image[250:380], axis=1))[:, 150:250]
     assert (image[250:380, 150:250] > 0.05).all() and steps.max() < 0.02
 
@@ -223,7 +227,8 @@ def test_speckle_keeps_its_mean_when_pixels_are_coarse():
     ping = fan_ping(90, 1024, 4000)
     ping.intensity[:] = np.random.default_rng(0).exponential(0.3, ping.intensity.shape)
     image = fan_image(ping, 100, counts=LINEAR)
-    assert image[image > 0].mean() == pytest.approx(0.3, rel=0.02)
+    # five sigma of four million bins, which weigh as their area
+    assert image[image > 0].mean() == pytest.approx(0.3, rel=3e-3)
 
 
 def test_fast_enough():

@@ -28,7 +28,7 @@ def noisy_shaders(folder: Path, units: float) -> Path:
     made = folder / "shaders"
     shutil.copytree(data_folder("shaders"), made)
     for name, several in EXACT.items():
-        text = (made / name).read_text()
+        text = (made / name).read_text(encoding="utf-8")
         assert text.count(FIRST[name]) == 1
         text = text.replace(FIRST[name], NOISE + FIRST[name])
         for exact in several:
@@ -36,5 +36,5 @@ def noisy_shaders(folder: Path, units: float) -> Path:
             assert text.count(line) == 1
             noisy = f"float depth_inverse = {exact} * (1.0 + noise() * {float(units)} / 16777216.0);"
             text = text.replace(line, noisy)
-        (made / name).write_text(text)
+        (made / name).write_text(text, encoding="utf-8")
     return made
