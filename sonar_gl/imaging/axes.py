@@ -165,7 +165,7 @@ class _Axes:
         """Return how far apart arcs must lie so that their labels, along the starboard edge, do not overlap."""
         texts = [f"{arc_m:g} m" for arc_m in self.arcs_m]
         sizes = [cv2.getTextSize(text, FONT, self.font_size, 1)[0] for text in texts]
-        across, down = np.max(sizes, axis=0, initial=0) + (4 * self.font_size, 2)
+        across, down = np.max(sizes, axis=0, initial=0) + np.array([4 * self.font_size, 2])
         low = self.fan.azimuth_edges_rad[0]
         return float(min(across / max(abs(math.sin(low)), 1e-9), down / max(abs(math.cos(low)), 1e-9)))
 

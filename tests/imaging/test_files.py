@@ -239,6 +239,28 @@ def test_gif_reads_back(tmp_path, name):
     assert sum(durations) == 470 and set(durations) == {60, 70}  # 7 / 15 s
 
 
+@pytest.mark.parametrize("level", [0, 60, 127, 255])
+@pytest.mark.parametrize("others", [0, 2])
+def test_gif_of_a_picture_that_stays_longer_than_a_duration_can_be(tmp_path, level, others):
+    """Equal frames of 2000 s, where a picture of a GIF lasts 655 s at most."""
+    frames = [np.full((20, 31), level, np.uint8)] * 20 + [np.full((20, 31), 99, np.uint8)] * others
+    save_animation(tmp_path / "a.gif", frames, fps=0.01)
+    with Image.open(tmp_path / "a.gif") as film:
+        total_s, seen = 0.0, []
+        for number in range(film.n_frames):
+            film.seek(number)
+            total_s += film.info["duration"] / 1000
+            seen.append(np.unique(np.asarray(film.convert("RGB"))).tolist())
+    assert total_s == 100 * len(frames)
+    assert seen == [[level]] * (film.n_frames - (others > 0)) + [[99]] * (others > 0)
+
+
+def test_gif_is_no_faster_than_its_durations(tmp_path):
+    got = error_of(save_animation, tmp_path / "a.gif", moving(2), 120)
+    assert got == "fps of a GIF must lie in 0.01..100 (got 120; give fewer, or save an .mp4)"
+    save_animation(tmp_path / "a.mp4", moving(2), 120)
+
+
 def test_gif_of_16_bits_is_rounded_to_8(tmp_path):
     ramp = np.arange(65536, dtype=np.uint16).reshape(256, 256)
     save_animation(tmp_path / "a.gif", [ramp], fps=10)
