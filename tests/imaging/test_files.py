@@ -52,6 +52,23 @@ def test_png_reads_back(tmp_path, picture):
     assert (read == picture).all() and os.listdir(tmp_path) == ["a.png"]
 
 
+def test_a_name_of_as_many_bytes_as_a_name_may_have(tmp_path):
+    name = "😀" * 62 + ".png"  # 252 of 255 bytes, as the name beside it has fewer characters than bytes
+    save_png(tmp_path / name, np.zeros((3, 3), np.uint8))
+    assert os.listdir(tmp_path) == [name]
+
+
+def test_a_folder_that_is_a_link_to_nowhere(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "gone").symlink_to("missing")
+    said = f"cannot write into the folder {str(tmp_path / 'loop')!r}: a loop of symbolic links"
+    assert error_of(output_folder, tmp_path / "loop") == said
+    gone = str(tmp_path / "gone")
+    assert error_of(output_folder, gone) == (
+        f"cannot write into the folder {gone!r}: {gone!r} is a link to 'missing', which does not exist"
+    )
+
+
 def test_png_of_floats(tmp_path):
     save_png(tmp_path / "a.png", np.array([[0.0, 0.5, 1.0, 2.0, -1.0]], np.float32))
     assert np.asarray(Image.open(tmp_path / "a.png")).tolist() == [[0, 128, 255, 255, 0]]
