@@ -13,9 +13,9 @@ from sonar_gl.core.input_files import LINK_LOOP, describe_kind, is_link_loop, re
 
 def temporary_path(path: Path) -> Path:
     """Return a unique path in the same folder, so that renaming it to `path` never crosses file systems."""
-    stem = os.fsencode(path.stem)[:64].decode(
-        errors="ignore"
-    )  # a name may have 255 bytes, and letters take up to four
+    stem = path.stem[:64]
+    while len(os.fsencode(stem)) > 64:  # a name may have 255 bytes, and a letter has up to four
+        stem = stem[:-1]
     return path.with_name(f".{stem}.{uuid.uuid4().hex[:12]}{path.suffix}")
 
 
