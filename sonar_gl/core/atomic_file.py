@@ -8,12 +8,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sonar_gl.core.errors import Error
-from sonar_gl.core.input_files import describe_kind, read_error_text
+from sonar_gl.core.input_files import LINK_LOOP, describe_kind, is_link_loop, read_error_text
 
 
 def temporary_path(path: Path) -> Path:
     """Return a unique path in the same folder, so that renaming it to `path` never crosses file systems."""
-    return path.with_name(f".{path.stem[:64]}.{uuid.uuid4().hex[:12]}{path.suffix}")
+    stem = path.stem[:64]
+    while len(os.fsencode(stem)) > 64:  # a name may have 255 bytes, and a letter has up to four
+        stem = stem[:-1]
+    return path.with_name(f".{stem}.{uuid.uuid4().hex[:12]}{path.suffix}")
 
 
 def describe_os_error(why: OSError, folder: Path) -> str:
@@ -21,6 +24,15 @@ def describe_os_error(why: OSError, folder: Path) -> str:
     at_fault = next((str(p) for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None)
     if isinstance(why, (NotADirectoryError, FileExistsError)) and at_fault:
         return f"{at_fault!r} is not a folder"
+    link = next((p for p in (folder, *folder.parents) if p.is_symlink() and not p.exists()), None)
+    if (
+        isinstance(why, FileExistsError) and link is not None
+    ):  # else "file exists", of a name that leads nowhere
+        return (
+            LINK_LOOP
+            if is_link_loop(link)
+            else f"{str(link)!r} is a link to {os.readlink(link)!r}, which does not exist"
+        )
     return read_error_text(why)
 
 

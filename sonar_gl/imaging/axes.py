@@ -66,8 +66,14 @@ class FanTicks(NamedTuple):
     spokes_deg: np.ndarray
 
 
-def fan_ticks(fan: FanGeometry, spoke_pixels: float) -> FanTicks:
-    """Return at most seven arcs, and as many spokes, at most eight or so, as have this room along the outer arc."""
+def fan_ticks(fan: FanGeometry, spoke_pixels: float, arc_pixels: float = 0.0) -> FanTicks:
+    """Return as many spokes, at most eight or so, and arcs, at most seven, as lie this far apart or more.
+
+    Parameters
+    ----------
+    spoke_pixels : along the outer arc
+    arc_pixels : along a spoke
+    """
     (low, high), (inner_m, outer_m) = fan.azimuth_edges_rad, fan.range_edges_m
     parts = min(8.0, (high - low) * outer_m * fan.pixels_per_m / spoke_pixels)
     step_deg = _tick_step(math.degrees(high - low), parts, SPOKE_STEPS_DEG)
@@ -75,7 +81,8 @@ def fan_ticks(fan: FanGeometry, spoke_pixels: float) -> FanTicks:
     spokes_deg = np.arange(math.ceil(first - 1e-6), math.floor(last + 1e-6) + 1) * step_deg
     if fan.full_circle and spokes_deg[-1] - spokes_deg[0] > 360 - 1e-6:  # −180° is +180°
         spokes_deg = spokes_deg[1:]
-    step_m = _tick_step(outer_m, 7, ARC_STEPS_M)
+    arc_parts = 7.0 if arc_pixels == 0 else min(7.0, outer_m * fan.pixels_per_m / arc_pixels)
+    step_m = _tick_step(outer_m, arc_parts, ARC_STEPS_M)
     arcs = np.arange(max(1, math.ceil(inner_m / step_m)), math.floor(outer_m / step_m + 1e-6) + 1)
     return FanTicks(arcs * step_m, spokes_deg)
 
@@ -84,9 +91,14 @@ def _title(ping: Ping, fan: FanGeometry, law: Counts, colormap: str | None) -> s
     """Return the sonar's name, the range, and the gain of pictures whose law is known by their colours."""
     inner_m, outer_m = fan.range_edges_m
     parts = [] if ping.sonar is None else [ping.sonar.name]
-    parts.append(f"{inner_m:.3g} to {outer_m:.3g} m")
+    parts.append(f"{_metres(inner_m)} to {_metres(outer_m)} m")
     parts += [f"gain {law.gain_db:+.1f} dB"] if colormap is not None else []
     return ", ".join(parts)
+
+
+def _metres(value_m: float) -> str:
+    """Return a range to three digits, without an exponent where it is long."""
+    return f"{value_m:.3g}" if value_m < 999.5 else f"{value_m:.0f}"
 
 
 @dataclass(frozen=True)
@@ -132,8 +144,11 @@ class _Axes:
         self.fan = fan
         self.font_size = float(np.clip(fan.height / 1500, 0.35, 1.2))  # letters are 22 pixels high at 1
         self.margin = round(120 * self.font_size)
-        # as many spokes as have room for their labels
-        self.arcs_m, self.spokes_deg = fan_ticks(fan, 100 * self.font_size)
+        # as many as have room for their labels
+        spoke_pixels = 100 * self.font_size
+        self.arcs_m, self.spokes_deg = fan_ticks(fan, spoke_pixels)
+        if arc_pixels := self._arc_label_pixels():
+            self.arcs_m, self.spokes_deg = fan_ticks(fan, spoke_pixels, arc_pixels)
 
     def draw(self, picture: np.ndarray, title: str, bar: _Bar | None) -> np.ndarray:
         """Return the picture with a margin, lines and labels, and with a bar, if there is one."""
@@ -145,6 +160,14 @@ class _Axes:
             canvas = np.hstack([canvas, self._strip(len(canvas), bar)])
         self._draw_title(canvas, title)
         return canvas
+
+    def _arc_label_pixels(self) -> float:
+        """Return how far apart arcs must lie so that their labels, along the starboard edge, do not overlap."""
+        texts = [f"{arc_m:g} m" for arc_m in self.arcs_m]
+        sizes = [cv2.getTextSize(text, FONT, self.font_size, 1)[0] for text in texts]
+        across, down = np.max(sizes, axis=0, initial=0) + np.array([4 * self.font_size, 2])
+        low = self.fan.azimuth_edges_rad[0]
+        return float(min(across / max(abs(math.sin(low)), 1e-9), down / max(abs(math.cos(low)), 1e-9)))
 
     def _strip(self, height: int, bar: _Bar) -> np.ndarray:
         """Return the strip beside the fan, (height, W, 3), with the colours of 0 to full scale, from below."""
@@ -165,8 +188,10 @@ class _Axes:
     def _draw_title(self, canvas: np.ndarray, title: str) -> None:
         """Write the title above all, in smaller letters if it is wider, and the sides into the lower corners."""
         height, width = canvas.shape[:2]
-        needed = cv2.getTextSize(title, FONT, self.font_size, 1)[0][0]
-        size = self.font_size * min(1.0, 0.96 * width / needed)
+        size = self.font_size
+        # letters have whole pixels, so that the width follows the size in steps
+        while (needed := cv2.getTextSize(title, FONT, size, 1)[0][0]) > 0.96 * width:
+            size *= min(0.96, 0.96 * width / needed)
         self._write(canvas, title, (width / 2, 22 * self.font_size), size=size)
         row, edge = height - 22 * self.font_size, round(10 * self.font_size)
         self._write_from(canvas, "port", edge, row)

@@ -149,7 +149,9 @@ def fan_geometry(ping: Ping, height: int = 800) -> FanGeometry:
         half_bin_m = (bins[-1] - bins[0]) / (bins.size - 1) / 2
     else:
         half_bin_m = min(ping.bin_size_m / 2, bins[0])
-    outer_m = float(bins[-1] + half_bin_m)
+    inner_m, outer_m = float(bins[0] - half_bin_m), float(bins[-1] + half_bin_m)
+    if inner_m < 1e-9 * outer_m:  # what rounding leaves of bins from 0 on
+        inner_m = 0.0
     half = min(max(-edges[0], edges[1]), math.pi)
     scale = height / outer_m / (1 - min(0.0, math.cos(half)))
     width = max(1, math.ceil(2 * scale * outer_m * math.sin(min(half, math.pi / 2)) - 1e-6))
@@ -160,7 +162,7 @@ def fan_geometry(ping: Ping, height: int = 800) -> FanGeometry:
         sonar_row=scale * outer_m - 0.5,
         sonar_column=(width - 1) / 2,
         azimuth_edges_rad=edges,
-        range_edges_m=(max(0.0, float(bins[0] - half_bin_m)), outer_m),
+        range_edges_m=(inner_m, outer_m),
     )
 
 

@@ -23,6 +23,7 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.ping import BIN_LABELS, NOISE_PARTS, Ping
 from sonar_gl.sonar.sonar import Sonar
 
+MAX_GIF_HUNDREDTHS = 65535  # of a second, the longest duration of a picture: 16 bits
 # Fields of a ping that a file does not hold: load_npz makes them from the description in `meta`.
 DESCRIBED = {"sonar": Sonar, "acoustics": Acoustics}
 NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*DESCRIBED, *NOISE_PARTS))
@@ -206,7 +207,7 @@ def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
     path : ends in .gif or .mp4; its folder exists
     frames : pictures of one size, (H, W) or (H, W, 3) RGB, uint8 or float 0..1; or (H, W) uint16, rounded to 8 bits.
         May be a generator; for .mp4 one frame at a time is in memory
-    fps : frames per second, 0.01..120
+    fps : frames per second, 0.01..120; of .gif, whose durations are whole hundredths of a second, 0.01..100
 
     Raises
     ------
@@ -217,19 +218,23 @@ def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
     Notes
     -----
     GIF: each frame has its own palette, without dither. It is exact up to 256 colours, and a coloured fan
-    image has no more. Durations are whole hundredths of a second with the right mean. Identical successive
-    frames are joined. MP4: the codec is MPEG-4 part 2, which every build of OpenCV includes and which encodes
-    a frame in milliseconds. Video needs even sizes, so odd ones get a black row or column.
+    image has no more. Durations are whole hundredths of a second with the right mean; browsers slow down what is
+    faster than 50 frames per second. Identical successive frames are joined. MP4: the codec is MPEG-4 part 2, which
+    every build of OpenCV includes and which encodes a frame in milliseconds. Video needs even sizes, so odd ones get a
+    black row or column.
     """
     path = _checked(path, (".gif", ".mp4"))
+    is_gif = path.suffix.lower() == ".gif"
     fps = check_number("fps of an animation", fps, 0.01, 120)
+    if is_gif:
+        check_number("fps of a GIF", fps, 0.01, 100, "give fewer, or save an .mp4")
     check_kind("frames", frames, Iterable, "give several pictures, also of a generator")
     frames = _checked_frames(frames)
     try:
         first = next(frames)
     except StopIteration:
         raise Error(f"{str(path)!r}: an animation needs at least one frame (got none)") from None
-    write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
+    write = _write_gif if is_gif else _write_mp4
     with atomic_write(path) as beside:
         write(beside, first, frames, fps)
 
@@ -237,17 +242,34 @@ def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
 def _write_gif(path: Path, first: np.ndarray, rest: Iterator[np.ndarray], fps: float) -> None:
     from PIL import Image  # takes a tenth of a second to import; only animations need it
 
-    def with_palette(index, frame):
+    def with_palette(frame):
         image = Image.fromarray(frame if frame.ndim == 3 else np.repeat(frame[..., None], 3, axis=2))
         exact = image.getcolors(256) is not None
         method = Image.Quantize.MAXCOVERAGE if exact else Image.Quantize.MEDIANCUT
-        image = image.quantize(256, method=method, dither=Image.Dither.NONE)
-        hundredths = round((index + 1) * 100 / fps) - round(index * 100 / fps)
-        image.info["duration"] = 10 * max(1, hundredths)
-        return image
+        return image.quantize(256, method=method, dither=Image.Dither.NONE)
 
-    images = (with_palette(index, frame) for index, frame in enumerate(rest, start=1))
-    with_palette(0, first).save(path, format="GIF", save_all=True, append_images=images, loop=0)
+    def images():
+        before, shown = None, 0  # hundredths of a second since a picture began
+        for index, frame in enumerate(chain((first,), rest)):
+            hundredths = round((index + 1) * 100 / fps) - round(index * 100 / fps)
+            shown = hundredths + (shown if before is not None and np.array_equal(frame, before) else 0)
+            if shown <= MAX_GIF_HUNDREDTHS:
+                image, before = with_palette(frame), frame
+            else:  # Pillow joins equal pictures, of any number: one that shows what is there begins another
+                image, before = _see_through(Image, frame), None
+            image.info["duration"] = 10 * hundredths
+            yield image
+
+    images = images()
+    next(images).save(path, format="GIF", save_all=True, append_images=images, loop=0)
+
+
+def _see_through(module, frame: np.ndarray):
+    """Return a transparent picture of `PIL.Image`, whose hidden colour the frame's first pixel does not have."""
+    image = module.new("P", frame.shape[1::-1])
+    image.putpalette([255 - int(value) for value in np.broadcast_to(frame[0, 0], 3)])
+    image.info["transparency"] = 0
+    return image
 
 
 def _write_mp4(path: Path, first: np.ndarray, rest: Iterator[np.ndarray], fps: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 
 import numpy as np
@@ -51,6 +52,7 @@ def tidy_obj(text: bytes) -> bytes:
     """
     if b"\0" in text:  # of UTF-16
         return text
+    text = text.removeprefix(codecs.BOM_UTF8)  # trimesh leaves out the line that it begins
     parts = b"\n" + text[:200], text  # the first line has no other before it
     if any(pattern.search(part) for pattern in UNTIDY for part in parts):
         text = _tidy_lines(text)

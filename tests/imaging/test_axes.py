@@ -123,6 +123,46 @@ def test_a_title_fits_a_narrow_picture():
     assert not drawn[:, :2].any() and not drawn[:, -2:].any()
 
 
+@pytest.mark.parametrize(
+    ("range_m", "said"),
+    [((0.0, 0.01), "0 to 0.01 m"), ((0.0, 1000.0), "0 to 1000 m"), ((1234.5, 12345.0), "1234 to 12345 m")],
+)
+def test_the_title_has_ranges_without_exponents(monkeypatch, range_m, said):
+    texts = []
+    monkeypatch.setattr(axes.cv2, "putText", lambda *more: texts.append(more[1]))
+    ping = fan_ping(60, n_bins=50, range_m=range_m)
+    draw_axes(colorize(fan_image(ping, 300)), ping)
+    assert said in texts
+
+
+@pytest.mark.parametrize(("fov_deg", "height"), [(5, 500), (20, 60), (45, 60)])
+def test_a_title_fits_whatever_steps_letters_have(fov_deg, height):
+    ping = fan_ping(fov_deg, range_m=(0.5, 30.0), fill=0.01)
+    sonar = Sonar("my long sonar name", 900e3, *ping.intensity.shape, fov_deg, 20.0, 1.0, 0.5, 30.0)
+    drawn = draw_axes(colorize(fan_image(ping, height)), replace(ping, sonar=sonar), "copper")
+    assert not drawn[:20, :2].any() and not drawn[:20, -2:].any()
+
+
+@pytest.mark.parametrize("range_m", [0.3, 30.0, 900.0])
+@pytest.mark.parametrize("height", [1, 60, 200])
+@pytest.mark.parametrize("fov_deg", [5, 90, 130, 180, 360])
+def test_labels_of_arcs_do_not_overlap(monkeypatch, fov_deg, height, range_m):
+    boxes = []
+
+    def note(_canvas, text, place, font, size, *_more):
+        if text.endswith(" m") and " to " not in text:
+            (across, up), _ = axes.cv2.getTextSize(text, font, size, 1)
+            boxes.append((place[0], place[0] + across, place[1] - up, place[1]))
+
+    monkeypatch.setattr(axes.cv2, "putText", note)
+    ping = fan_ping(fov_deg, range_m=(0.0, range_m))
+    draw_axes(colorize(fan_image(ping, height)), ping)
+    assert boxes or height < 60
+    for one, (left, right, top, bottom) in enumerate(boxes):
+        for other in boxes[:one]:
+            assert right <= other[0] or other[1] <= left or bottom <= other[2] or other[3] <= top
+
+
 def test_pictures_of_other_fans():
     ping = fan_ping(60)
     with pytest.raises(Error) as caught:

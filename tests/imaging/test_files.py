@@ -52,6 +52,23 @@ def test_png_reads_back(tmp_path, picture):
     assert (read == picture).all() and os.listdir(tmp_path) == ["a.png"]
 
 
+def test_a_name_of_as_many_bytes_as_a_name_may_have(tmp_path):
+    name = "😀" * 62 + ".png"  # 252 of 255 bytes, as the name beside it has fewer characters than bytes
+    save_png(tmp_path / name, np.zeros((3, 3), np.uint8))
+    assert os.listdir(tmp_path) == [name]
+
+
+def test_a_folder_that_is_a_link_to_nowhere(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "gone").symlink_to("missing")
+    said = f"cannot write into the folder {str(tmp_path / 'loop')!r}: a loop of symbolic links"
+    assert error_of(output_folder, tmp_path / "loop") == said
+    gone = str(tmp_path / "gone")
+    assert error_of(output_folder, gone) == (
+        f"cannot write into the folder {gone!r}: {gone!r} is a link to 'missing', which does not exist"
+    )
+
+
 def test_png_of_floats(tmp_path):
     save_png(tmp_path / "a.png", np.array([[0.0, 0.5, 1.0, 2.0, -1.0]], np.float32))
     assert np.asarray(Image.open(tmp_path / "a.png")).tolist() == [[0, 128, 255, 255, 0]]
@@ -237,6 +254,28 @@ def test_gif_reads_back(tmp_path, name):
             durations.append(film.info["duration"])
             assert (np.asarray(film.convert("RGB")) == frame).all()
     assert sum(durations) == 470 and set(durations) == {60, 70}  # 7 / 15 s
+
+
+@pytest.mark.parametrize("level", [0, 60, 127, 255])
+@pytest.mark.parametrize("others", [0, 2])
+def test_gif_of_a_picture_that_stays_longer_than_a_duration_can_be(tmp_path, level, others):
+    """Equal frames of 2000 s, where a picture of a GIF lasts 655 s at most."""
+    frames = [np.full((20, 31), level, np.uint8)] * 20 + [np.full((20, 31), 99, np.uint8)] * others
+    save_animation(tmp_path / "a.gif", frames, fps=0.01)
+    with Image.open(tmp_path / "a.gif") as film:
+        total_s, seen = 0.0, []
+        for number in range(film.n_frames):
+            film.seek(number)
+            total_s += film.info["duration"] / 1000
+            seen.append(np.unique(np.asarray(film.convert("RGB"))).tolist())
+    assert total_s == 100 * len(frames)
+    assert seen == [[level]] * (film.n_frames - (others > 0)) + [[99]] * (others > 0)
+
+
+def test_gif_is_no_faster_than_its_durations(tmp_path):
+    got = error_of(save_animation, tmp_path / "a.gif", moving(2), 120)
+    assert got == "fps of a GIF must lie in 0.01..100 (got 120; give fewer, or save an .mp4)"
+    save_animation(tmp_path / "a.mp4", moving(2), 120)
 
 
 def test_gif_of_16_bits_is_rounded_to_8(tmp_path):

@@ -1,5 +1,6 @@
 """Mesh files of which a part would be left out, or that are refused though they could be read."""
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -33,3 +34,12 @@ def test_what_follows_the_triangles_of_a_binary_stl_is_left_out(tmp_path, head, 
     scene, (said, *_) = load(path)
     assert len(scene.bodies[0].surface.faces) == 12
     assert said == f"{path}: {len(more)} bytes after the 12 triangles that the file states are left out"
+
+
+def test_a_byte_order_mark_takes_no_vertex(tmp_path):
+    """Editors of Windows write one; a vertex may be the first line."""
+    text = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\nf 1 2 3\n"  # without the first, the fourth would be taken
+    (tmp_path / "a.obj").write_bytes(b"\xef\xbb\xbf" + text)
+    scene, _ = load(tmp_path / "a.obj")
+    vertices = scene.bodies[0].surface.vertices
+    assert np.ptp(vertices, axis=0).tolist() == [1, 1, 0]
