@@ -15,6 +15,7 @@ from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
+from sonar_gl.engine.adaptive import evenly_picked
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup, ReceivedPing
 from sonar_gl.engine.multipath import ImageSources
@@ -104,9 +105,9 @@ def _fix_images(run: Run, images: ImageSources, setups: Sequence[PingSetup]) -> 
     """Choose the samples of image sources for all of some pings, for IMAGE_POSES of many, and stay with them."""
     images.release()
     least = images.COARSEST
-    for at in np.unique(np.linspace(0, len(setups) - 1, IMAGE_POSES).round().astype(int)):
+    for setup in evenly_picked(setups, IMAGE_POSES):
         images.reset()
-        if (found := sample(run, setups[at]).drawn.images) is not None:
+        if (found := sample(run, setup).drawn.images) is not None:
             least = min(least, found.halvings)
     images.fix(least)
 
