@@ -273,18 +273,18 @@ class _Workers:
 
     def __init__(self, run: Run):
         self._run, self._number = run, 0
-        sonar, acoustics = run.instrument.sonar, run.instrument.acoustics
-        world, most_samples = run.world, run.stages.most_samples
-        made_of = (
-            world.engine,
-            sonar,
-            acoustics,
-            world.scene,
-            run.tolerance,
-            run.instrument.gain,
-            most_samples,
+        world, instrument = run.world, run.instrument
+        make = partial(
+            PingWorker,
+            engine=world.engine,
+            sonar=instrument.sonar,
+            acoustics=instrument.acoustics,
+            scene=world.scene,
+            tolerance=run.tolerance,
+            gain=instrument.gain,
+            most_samples=run.stages.most_samples,
         )
-        self._workers = run.take_workers(n_threads(), partial(PingWorker, *made_of))
+        self._workers = run.take_workers(n_threads(), make)
         self.ahead = 2 * len(self._workers) - 1
 
     def start(self, setups: list[PingSetup]) -> Job:
