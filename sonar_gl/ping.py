@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -141,3 +142,12 @@ class Ping:
             law = DEFAULT_COUNTS if self.sonar is None else self.sonar.counts
         check_kind("counts", law, Counts, 'such as Counts("power", exponent=0.26)')
         return law.settle(self.intensity)
+
+
+def changed_powers(ping: Ping, change: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the intensity and those NOISE_PARTS that a ping has, by name, as a function changes each; read-only."""
+    powers = {name: getattr(ping, name) for name in ("intensity", *NOISE_PARTS)}
+    out = {name: change(power) for name, power in powers.items() if power is not None}
+    for power in out.values():
+        power.setflags(write=False)
+    return out

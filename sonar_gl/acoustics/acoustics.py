@@ -466,9 +466,12 @@ class Acoustics:
         """Return what beams receive beyond `receive_support_rad`; None if nothing."""
         if not (self.far_side_lobes and self.beam_pattern == "line_array"):
             return None
+        return FarPattern(self._receive_array(sonar), sonar.steered, self._floor(sonar))
+
+    def _receive_array(self, sonar) -> ArrayPattern:
+        """Return the receive pattern in azimuth of a beam that is not steered, unless it is a box."""
         width = math.radians(sonar.beam_width_deg)
-        array = ArrayPattern("line_array", width, sonar.receive_taper, sonar.side_lobe_db)
-        return FarPattern(array, sonar.steered, self._floor(sonar))
+        return ArrayPattern(self.beam_pattern, width, sonar.receive_taper, sonar.side_lobe_db)
 
     def _floor(self, sonar) -> float:
         """Return the mean power that errors of the elements add to the receive pattern."""
@@ -485,11 +488,9 @@ class Acoustics:
         >>> round(math.degrees(Acoustics.physical().receive_support_rad(load_sonar("p900-45"))), 2)  # 4 / 0.886 widths
         4.52
         """
-        half_width = math.radians(sonar.beam_width_deg) / 2
         if self.beam_pattern == "box":
-            return half_width
-        pattern = ArrayPattern(self.beam_pattern, 2 * half_width, sonar.receive_taper, sonar.side_lobe_db)
-        gaussian = self.beam_pattern == "gaussian"
+            return math.radians(sonar.beam_width_deg) / 2
+        pattern, gaussian = self._receive_array(sonar), self.beam_pattern == "gaussian"
         sine = pattern.main_lobe_sine(GAUSSIAN_SUPPORT_LEVEL) if gaussian else pattern.support_sine()
         support = math.asin(min(1.0, sine))
         if sonar.steered == "straight":
@@ -526,9 +527,7 @@ class Acoustics:
         """
         if self.beam_pattern == "box":
             return 0.0
-        width = math.radians(sonar.beam_width_deg)
-        pattern = ArrayPattern(self.beam_pattern, width, sonar.receive_taper, sonar.side_lobe_db)
-        per_rad = 1 / pattern.null_sine()
+        per_rad = 1 / self._receive_array(sonar).null_sine()
         if self.transmit_beam and sonar.transmit_width_deg is not None:
             width = math.radians(sonar.transmit_width_deg)
             pattern = ArrayPattern("line_array", width, sonar.transmit_taper, sonar.side_lobe_db)

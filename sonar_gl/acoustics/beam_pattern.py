@@ -97,6 +97,19 @@ def aperture_field(x, series: tuple[float, ...]) -> np.ndarray:
     return field
 
 
+def aperture_weights(z, series: tuple[float, ...]) -> np.ndarray:
+    """Return the weights of a tapered aperture at z, in its lengths, −1/2..1/2; or of a pulse's spectrum likewise.
+
+    series : F₁, F₂, … of `taper_series`
+
+    >>> aperture_weights(np.array([0.0, 0.5]), taper_series("hamming", 0.0)).round(4).tolist()  # 0.54 ± 0.46, over 0.54
+    [1.8519, 0.1481]
+    """
+    return 1 + 2 * sum(
+        (share * np.cos(2 * np.pi * m * z) for m, share in enumerate(series, 1)), np.zeros_like(z)
+    )
+
+
 def chebyshev_pattern(x, elements: int, side_lobe_db: float) -> np.ndarray:
     """Return the one-way power pattern of a Dolph-Chebyshev array, 1 on its axis; all its side lobes are
     equal.

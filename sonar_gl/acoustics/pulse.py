@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import uint64
 
-from sonar_gl.acoustics.beam_pattern import HAMMING, aperture_field
+from sonar_gl.acoustics.beam_pattern import HAMMING, aperture_field, aperture_weights
 from sonar_gl.core.checks import check_choice
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
@@ -183,8 +183,7 @@ def _aliased_power(f: np.ndarray, ratio: float, series: tuple[float, ...]) -> np
     power = np.zeros_like(f)
     for alias in range(-int(min(ratio, 64)), int(min(ratio, 64)) + 1):
         z = (f + alias) / ratio  # in bandwidths
-        weight = 1 + 2 * sum(share * np.cos(2 * np.pi * m * z) for m, share in enumerate(series, 1))
-        power += np.where(np.abs(z) <= 0.5, weight**2, 0.0)
+        power += np.where(np.abs(z) <= 0.5, aperture_weights(z, series) ** 2, 0.0)
     return power
 
 

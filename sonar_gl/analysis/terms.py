@@ -16,6 +16,7 @@ from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
+from sonar_gl.engine.adaptive import evenly_picked
 from sonar_gl.engine.sequence import several_poses
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.receiver import common_noise_pattern, receiver_levels_db
@@ -321,9 +322,9 @@ def _make_case(scene, sonar, tolerance, poses, acoustics=None, noise=None) -> _C
         poses = list(several_poses(poses))
     if not len(poses):
         raise Error("poses must hold at least one pose (got none)")
-    picked = np.unique(np.linspace(0, len(poses) - 1, MAX_POSES).round().astype(int))
     acoustics, noise = everything_on(acoustics or Acoustics.physical(), noise or Noise.physical())
-    return _Case(scene, sonar, acoustics, noise, [check_pose(poses[k]) for k in picked], tolerance)
+    picked = [check_pose(pose) for pose in evenly_picked(poses, MAX_POSES)]
+    return _Case(scene, sonar, acoustics, noise, picked, tolerance)
 
 
 class _Comparison:

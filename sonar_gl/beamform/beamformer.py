@@ -316,8 +316,7 @@ class Beamformer:
         is_even = elevation_pattern is None
         self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
         self._tiles, self._columns_sr = tuple(weights.tiles), weights.columns_sr
-        n_tiles = len(self._tiles[0])
-        self._parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
+        self._parts = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
         # the fan may be higher, to hold the side lobes of the pattern
         is_main_lobe = self.elevation_table > HALF_POWER_TWO_WAY
         fov_rad = math.inf if is_even else float(np.ptp(np.arcsin(sines[is_main_lobe])))
@@ -327,11 +326,10 @@ class Beamformer:
         # far side lobes receive all columns
         received = np.ones(fan.n_columns, bool) if far_lobes else weights.received(fan.n_columns)
         n_columns, n_wide, edges = fan.n_columns, fan.n_wide_columns, fan.wide_edges
-        middle, wide_middle = (n_columns + 1) // 2, n_columns + (n_wide + 1) // 2
         # columns, and wide columns
-        self._halves = (
-            ((0, middle), (n_columns, wide_middle)),
-            ((middle, n_columns), (wide_middle, n_columns + n_wide)),
+        self._halves = tuple(
+            (_half_of(n_columns, half), tuple(n_columns + end for end in _half_of(n_wide, half)))
+            for half in (0, 1)
         )
         self._has_gaps = is_box and not received.all()
         if n_wide:

@@ -76,9 +76,8 @@ def whole_sectors(samples: Sequence[SectorSamples], sectors: Sequence[Sector]) -
 
 def _whole(samples: SectorSamples, sector: Sector) -> SectorSamples:
     rows, columns = samples.plane_echo.shape[:2]
-    lattice = np.array([sector.u[1:], sector.v[1:]])
     apart = samples.sector.u[0] - sector.u[0], samples.sector.v[0] - sector.v[0]
-    i, j = np.rint(np.linalg.solve(lattice, apart)).astype(int)
+    i, j = np.rint(np.linalg.solve(sector.steps, apart)).astype(int)
     plane_echo = np.zeros((sector.rows, sector.columns, 4), np.float32)
     plane_echo[j : j + rows, i : i + columns] = samples.plane_echo
     return SectorSamples(sector, plane_echo, samples.body_id)

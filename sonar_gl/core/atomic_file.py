@@ -39,11 +39,16 @@ def describe_os_error(why: OSError, folder: Path) -> str:
 def check_output_file(path: Path) -> None:
     """Raise an `Error` unless a file can be written at a path; for work that takes long before it writes."""
     with _writing(path):
-        trial = temporary_path(path)
-        try:
-            trial.write_bytes(b"sonar")
-        finally:
-            trial.unlink(missing_ok=True)
+        write_trial(path)
+
+
+def write_trial(path: Path) -> None:
+    """Write a trial file beside a path, and remove it."""
+    trial = temporary_path(path)
+    try:
+        trial.write_bytes(b"sonar")
+    finally:
+        trial.unlink(missing_ok=True)
 
 
 def check_output_folder(path: Path) -> None:

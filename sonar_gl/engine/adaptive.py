@@ -206,6 +206,15 @@ class FixedSampling:
         """Return None: there is no estimate."""
 
 
+def evenly_picked(things: Sequence, most: int) -> list:
+    """Return at most so many of some things, evenly apart, the first and the last among them.
+
+    >>> evenly_picked(range(10), 4)
+    [0, 3, 6, 9]
+    """
+    return [things[k] for k in np.unique(np.linspace(0, len(things) - 1, most).round().astype(int))]
+
+
 class AdaptiveSampling:
     """Chooses among sampling levels by what they see, and checks again as the sonar moves. A `Sampler`.
 
@@ -336,9 +345,8 @@ class AdaptiveSampling:
 
     def fix(self, setups: Sequence[PingSetup]) -> Plan:
         """Choose for all of some pings, for MAX_POSES of many, and stay with it."""
-        picked = np.unique(np.linspace(0, len(setups) - 1, MAX_POSES).round().astype(int))
         # each as if it came first: the order does not count
-        plans = [self._search(setups[k], self._guess).plan for k in picked]
+        plans = [self._search(setup, self._guess).plan for setup in evenly_picked(setups, MAX_POSES)]
         level = max(plan.level for plan in plans)
         finest = [plan for plan in plans if plan.level == level]
         plan = replace(

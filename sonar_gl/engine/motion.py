@@ -10,7 +10,7 @@ import numpy as np
 from sonar_gl.core.checks import frozen_array
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
-from sonar_gl.ping import BIN_LABELS, NOISE_PARTS, Ping
+from sonar_gl.ping import BIN_LABELS, Ping, changed_powers
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_M_S, MAX_RAD_S = 30.0, 20.0
@@ -140,12 +140,8 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
         _redistribute(
             np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, WHOLE_TURN, across
         )
-        power = np.ascontiguousarray(across.T / width)
-        power.setflags(write=False)
-        return power
+        return np.ascontiguousarray(across.T / width)
 
-    powers = {"intensity": shown(ping.intensity)}
-    powers |= {name: shown(getattr(ping, name)) for name in NOISE_PARTS if getattr(ping, name) is not None}
     labels = {name: getattr(ping, name) for name in BIN_LABELS if getattr(ping, name) is not None}
     if labels:
         # where the middle of each cell was at rest, to the first order
@@ -159,4 +155,4 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
             labels[name] = np.where(inside, array[cell], array.dtype.type(BIN_LABELS[name]))
             labels[name].setflags(write=False)
     meta = {**ping.meta, "velocity": [float(v) for v in given]}
-    return replace(ping, meta=meta, **powers, **labels)
+    return replace(ping, meta=meta, **changed_powers(ping, shown), **labels)

@@ -118,6 +118,21 @@ class ImageSourceSamples:
     sources: tuple[ImageSource, ...]
 
 
+class _FoundImage(NamedTuple):
+    """The sonar's image behind a reflector that may return an echo, still without samples.
+
+    Attributes
+    ----------
+    number : of the ping, among those that are drawn at once
+    reflector, plane, pose : of `ImageSource`
+    """
+
+    number: int
+    reflector: PlanarReflector
+    plane: np.ndarray
+    pose: ImagePose
+
+
 class Thinning(NamedTuple):
     """Which samples are summed for image sources.
 
@@ -251,27 +266,23 @@ class ImageSources:
         # bubbles would have to attenuate each leg by itself
         states = [state.without_bubbles() for state in states]
         indices = [kernels.view_index(view) for view in views]
-        found, image_poses, image_states, clip_planes = [], [], [], []
-        for number, (pose, state, index) in enumerate(zip(poses, states, indices, strict=True)):
-            for reflector, plane in self._reflecting(pose, state, index, stage):
-                image = image_pose(plane)
-                found.append((number, (reflector, plane, self._ceiling(pose), image)))
-                image_poses.append(pose @ image.sonar_from_image)
-                image_states.append(state)
-                clip_planes.append(image.clip_plane)
+        found = [
+            _FoundImage(number, reflector, plane, image_pose(plane))
+            for number, (pose, state, index) in enumerate(zip(poses, states, indices, strict=True))
+            for reflector, plane in self._reflecting(pose, state, index, stage)
+        ]
         out: list[ImageSourceSamples | None] = [None] * len(poses)
         if not found:
             return out
-        numbers = sorted({number for number, _ in found})
+        numbers = sorted({one.number for one in found})
         columns, rows, is_drawn_finer = THINNINGS[self.halvings]
         sampling = replace(
             stage.sampling,
             columns_per_beam=stage.sampling.columns_per_beam / columns,
             rows=math.ceil(stage.sampling.rows / rows),
         )
-        if (
-            stage.sampling.rows < self._rows
-        ):  # halved ones may be for this ping alone, or for a first look at it
+        # halved ones may be for this ping alone, or for a first look at it
+        if stage.sampling.rows < self._rows:
             self._own_stages.drop_large()
             self._image_stages.drop_large()
         self._rows = stage.sampling.rows
@@ -282,40 +293,45 @@ class ImageSources:
             own_views = [view.sectors for view in drawn]
         else:  # the direct views will do
             own_views = [[every_row(one, rows) for one in views[n].sectors] for n in numbers]
-        own_of = dict(zip(numbers, own_views, strict=True))
         drawing, step = (self._image_stages.stage(stage.sampling), rows) if is_drawn_finer else (image, 1)
         image_views = drawing.draw(
-            image_poses, image_states, with_bodies=True, planes=clip_planes, keep_last=True
+            [poses[one.number] @ one.pose.sonar_from_image for one in found],
+            [states[one.number] for one in found],
+            with_bodies=True,
+            planes=[one.pose.clip_plane for one in found],
+            keep_last=True,
         )
         times_fewer = 1 if is_drawn_finer else columns * rows
-        sources: dict[int, list[ImageSource]] = {number: [] for number in numbers}
-        imaged: dict[int, list[BodyCounts]] = {number: [] for number in numbers}
-        counted = [
-            (drawing, view, gains[number]) for (number, _), view in zip(found, image_views, strict=True)
-        ]
+        counted = [(drawing, view, gains[one.number]) for one, view in zip(found, image_views, strict=True)]
         if coarser is None:
             counted += [(stage, views[number], gains[number]) for number in numbers]
         counts = self._count_bodies(counted)
         direct = [coarser.direct] if coarser is not None else counts[len(found) :]
-        of_images = counts[: len(found)]
-        for (number, about), image_view, (samples, echo) in zip(found, image_views, of_images, strict=True):
-            imaged[number].append(BodyCounts(samples * times_fewer, echo))
-            views_of_both = (
-                own_of[number],
-                [every_row(one, step) for one in image_view.sectors],
-                indices[number],
-                kernels.view_index(image_view),
-            )
-            sources[number].append(ImageSource(*about, *views_of_both))
-        for number, of_direct in zip(numbers, direct, strict=True):
+        for number, own_view, of_direct in zip(numbers, own_views, direct, strict=True):
+            mine = [k for k, one in enumerate(found) if one.number == number]
             out[number] = ImageSourceSamples(
-                self.halvings,
-                of_direct,
-                BodyCounts(*map(np.concatenate, zip(*imaged[number], strict=True))),
-                self._single_bounce,
-                own,
-                image,
-                tuple(sources[number]),
+                halvings=self.halvings,
+                direct=of_direct,
+                imaged=BodyCounts(
+                    samples=np.concatenate([counts[k].samples * times_fewer for k in mine]),
+                    echo=np.concatenate([counts[k].echo for k in mine]),
+                ),
+                single_bounce=self._single_bounce,
+                own=own,
+                image=image,
+                sources=tuple(
+                    ImageSource(
+                        reflector=found[k].reflector,
+                        plane=found[k].plane,
+                        ceiling=self._ceiling(poses[number]),
+                        pose=found[k].pose,
+                        own_view=own_view,
+                        image_view=[every_row(one, step) for one in image_views[k].sectors],
+                        own_index=indices[number],
+                        image_index=kernels.view_index(image_views[k]),
+                    )
+                    for k in mine
+                ),
             )
         return out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -111,10 +111,7 @@ def _nearest_beyond(scene: Scene, state: SceneState, pose, sonar: Sonar, top_deg
     inward = [[math.sin(half), math.cos(half), 0], [math.sin(half), -math.cos(half), 0]]
     inward += [[math.sin(top), 0, math.cos(top)], [math.sin(top), 0, -math.cos(top)]]
     nearest_m = math.inf
-    for body, body_pose, is_present in zip(scene.bodies, state.poses, state.present, strict=True):
-        if not is_present:
-            continue
-        vertices, wet_faces = _in_water(body, body_pose, pose, scene.surface_z_m)
+    for _, vertices, wet_faces in _bodies_in_water(scene, state, pose):
         if not np.isfinite(vertices).all():
             continue
         if np.linalg.norm(vertices, axis=1).max(initial=0.0) < sonar.range_max_m:
@@ -135,10 +132,7 @@ def _nearest_body(scene: Scene, state: SceneState, pose):
     from trimesh.triangles import closest_point
 
     best = None
-    for body, body_pose, is_present in zip(scene.bodies, state.poses, state.present, strict=True):
-        if not is_present:
-            continue
-        vertices, faces = _in_water(body, body_pose, pose, scene.surface_z_m)
+    for body, vertices, faces in _bodies_in_water(scene, state, pose):
         if not len(faces):
             continue
         points = closest_point(vertices[faces], np.zeros((len(faces), 3)))
@@ -147,6 +141,13 @@ def _nearest_body(scene: Scene, state: SceneState, pose):
         if best is None or squares[index] < best[0]:
             best = squares[index], body.name, points[index]
     return None if best is None else best[1:]
+
+
+def _bodies_in_water(scene: Scene, state: SceneState, pose) -> Iterator[tuple[Body, np.ndarray, np.ndarray]]:
+    """Yield each body that is present, with what `_in_water` returns of it."""
+    for body, body_pose, is_present in zip(scene.bodies, state.poses, state.present, strict=True):
+        if is_present:
+            yield body, *_in_water(body, body_pose, pose, scene.surface_z_m)
 
 
 def _in_water(body: Body, body_pose, pose, surface_z_m: float | None) -> tuple[np.ndarray, np.ndarray]:

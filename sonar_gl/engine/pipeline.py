@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.ping import NOISE_PARTS, Ping
+from sonar_gl.ping import Ping, changed_powers
 from sonar_gl.sonar.samples import ViewSamples
 
 
@@ -308,9 +309,5 @@ def with_cross_talk(ping: Ping) -> Ping:
     sonar = ping.sonar
     if not ping.acoustics.cross_talk or sonar.cross_talk_db is None:
         return ping
-    powers = {name: getattr(ping, name) for name in ("intensity", *NOISE_PARTS)}
-    for name, power in powers.items():
-        if power is not None:
-            powers[name] = leak_between_beams(power, sonar.cross_talk_db, sonar.cross_talk_beams)
-            powers[name].setflags(write=False)
-    return replace(ping, **powers)
+    leak = partial(leak_between_beams, level_db=sonar.cross_talk_db, spacing=sonar.cross_talk_beams)
+    return replace(ping, **changed_powers(ping, leak))

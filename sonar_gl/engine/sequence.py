@@ -15,6 +15,7 @@ from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
+from sonar_gl.engine.adaptive import evenly_picked
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup, ReceivedPing
 from sonar_gl.engine.multipath import ImageSources
@@ -104,9 +105,9 @@ def _fix_images(run: Run, images: ImageSources, setups: Sequence[PingSetup]) -> 
     """Choose the samples of image sources for all of some pings, for IMAGE_POSES of many, and stay with them."""
     images.release()
     least = images.COARSEST
-    for at in np.unique(np.linspace(0, len(setups) - 1, IMAGE_POSES).round().astype(int)):
+    for setup in evenly_picked(setups, IMAGE_POSES):
         images.reset()
-        if (found := sample(run, setups[at]).drawn.images) is not None:
+        if (found := sample(run, setup).drawn.images) is not None:
             least = min(least, found.halvings)
     images.fix(least)
 
@@ -272,18 +273,18 @@ class _Workers:
 
     def __init__(self, run: Run):
         self._run, self._number = run, 0
-        sonar, acoustics = run.instrument.sonar, run.instrument.acoustics
-        world, most_samples = run.world, run.stages.most_samples
-        made_of = (
-            world.engine,
-            sonar,
-            acoustics,
-            world.scene,
-            run.tolerance,
-            run.instrument.gain,
-            most_samples,
+        world, instrument = run.world, run.instrument
+        make = partial(
+            PingWorker,
+            engine=world.engine,
+            sonar=instrument.sonar,
+            acoustics=instrument.acoustics,
+            scene=world.scene,
+            tolerance=run.tolerance,
+            gain=instrument.gain,
+            most_samples=run.stages.most_samples,
         )
-        self._workers = run.take_workers(n_threads(), partial(PingWorker, *made_of))
+        self._workers = run.take_workers(n_threads(), make)
         self.ahead = 2 * len(self._workers) - 1
 
     def start(self, setups: list[PingSetup]) -> Job:

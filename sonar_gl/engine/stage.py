@@ -56,11 +56,12 @@ class Stage:
         """Draw the views of some poses, attenuated behind bubbles; parameters as for `Renderer.render`."""
         views = self.renderer.render(poses, states, with_bodies, planes=planes, keep_last=keep_last)
         return [
-            view if state is None or state.bubbles is None else self._with_bubbles(view, state.bubbles, pose)
+            view if state is None or state.bubbles is None else self.with_bubbles(view, state.bubbles, pose)
             for view, pose, state in zip(views, poses, states, strict=True)
         ]
 
-    def _with_bubbles(self, view: ViewSamples, bubbles, pose) -> ViewSamples:
+    def with_bubbles(self, view: ViewSamples, bubbles, pose) -> ViewSamples:
+        """Return a view attenuated behind bubbles, and with their echoes, see `attenuate_behind_bubbles`."""
         points = attenuate_behind_bubbles(view_index(view), view.face_id, bubbles, pose, self.fan)
         return replace(view, bubbles=points)
 

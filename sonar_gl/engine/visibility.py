@@ -187,9 +187,8 @@ def is_unobstructed(
             continue
         x, y, z = rotation @ points.T
         u, v, q = -y / x, z / x, 1 / x
-        lattice = np.array([[sector.u[1], sector.u[2]], [sector.v[1], sector.v[2]]])
-        origin = np.array([[sector.u[0]], [sector.v[0]]])
-        i, j = np.rint(np.linalg.inv(lattice) @ (np.stack([u, v]) - origin)).astype(int)
+        steps, origin = sector.steps, np.array([[sector.u[0]], [sector.v[0]]])
+        i, j = np.rint(np.linalg.inv(steps) @ (np.stack([u, v]) - origin)).astype(int)
         in_front = _in_a_beam(sector, u, v, q, sonar, received)
         in_front &= (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
         u, v, i, j, q = (one[in_front] for one in (u, v, i, j, q))
@@ -198,7 +197,7 @@ def is_unobstructed(
                 break
             at_j, at_i = (j + row).clip(0, sector.rows - 1), (i + column).clip(0, sector.columns - 1)
             there, along_u, along_v = plane_echo[at_j, at_i, :3].astype(np.float64).T
-            at = origin + lattice @ np.stack([at_i, at_j])
+            at = origin + steps @ np.stack([at_i, at_j])
             plane = np.where(there > 0, there + along_u * (u - at[0]) + along_v * (v - at[1]), 0.0)
             is_own = body_id[at_j, at_i] == number
             if is_own.any():

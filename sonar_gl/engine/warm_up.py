@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
-from sonar_gl.beamform.kernels import view_index
 from sonar_gl.core.compiled import announce_compilation
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.run import Run
@@ -26,16 +22,10 @@ def warm_up(run: Run) -> None:
         return
     announce_compilation()
     with run.drawing():
-        stage, gain = (
-            run.stages.make(sampling_of_width(run.instrument.sonar, COARSE_DEG)),
-            run.instrument.gain,
-        )
+        stage = run.stages.make(sampling_of_width(run.instrument.sonar, COARSE_DEG))
         pose = check_pose(np.eye(4))  # read-only, as in pings
         (view,) = stage.renderer.render([pose], full=True)
         if has_bubbles:
-            view = replace(
-                view,
-                bubbles=attenuate_behind_bubbles(view_index(view), view.face_id, A_BUBBLE, pose, stage.fan),
-            )
-        stage.beamformer.sum_view(view, gain)
+            view = stage.with_bubbles(view, A_BUBBLE, pose)
+        stage.beamformer.sum_view(view, run.instrument.gain)
     _warm.update(needed)

@@ -126,9 +126,7 @@ class World:
         """Return (bodies + 1,) bool by number, True for these bodies: a background for shadows."""
         out = np.zeros(len(self.scene.bodies) + 1, bool)
         for name in names:
-            if name not in self._indices:
-                raise unknown_body_error(name, self._indices, "background must be bodies of the scene")
-            out[1 + self._indices[name]] = True
+            out[1 + self._index_of(name, "background")] = True
         return out
 
     def place(self, bodies) -> None:

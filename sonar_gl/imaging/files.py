@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.core.atomic_file import atomic_write, describe_os_error, temporary_path
+from sonar_gl.core.atomic_file import atomic_write, describe_os_error, write_trial
 from sonar_gl.core.checks import check_kind, check_number, holds_numbers, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_is_file
@@ -40,11 +40,7 @@ def output_folder(path) -> Path:
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        trial = temporary_path(folder / "trial")
-        try:
-            trial.write_bytes(b"sonar")
-        finally:
-            trial.unlink(missing_ok=True)
+        write_trial(folder / "trial")
     except OSError as why:
         raise Error(
             f"cannot write into the folder {str(folder)!r}: {describe_os_error(why, folder)}"

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import float32, uint64
 
+from sonar_gl.acoustics.beam_pattern import aperture_weights
 from sonar_gl.acoustics.pulse import (
     PulseResponse,
     amplitude_response,
@@ -22,7 +23,7 @@ from sonar_gl.acoustics.pulse import (
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.worker import SecondThread, run_halves, run_rows
 from sonar_gl.noise.gaussian import standard_normal
-from sonar_gl.noise.speckle import FieldCorrelation, aperture_weights, aperture_width
+from sonar_gl.noise.speckle import FieldCorrelation, aperture_width
 
 # Side of the square cells of the sea, each with independent waves. Their middles lie at whole multiples of it, since
 # sonars often lie at the origin or at round numbers: one cell makes the field there, at corners four do.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import float32, uint64
 
-from sonar_gl.acoustics.beam_pattern import main_lobe_edge
+from sonar_gl.acoustics.beam_pattern import aperture_weights, main_lobe_edge
 from sonar_gl.acoustics.pulse import convolve
 from sonar_gl.core.compiled import compiled
 from sonar_gl.noise.gaussian import standard_normal
@@ -63,13 +63,6 @@ def aperture_width(taper_series: tuple[float, ...] = ()) -> float:
     1.303
     """
     return 2 * main_lobe_edge(taper_series, 0.5)
-
-
-def aperture_weights(z, taper_series: tuple[float, ...] = ()) -> np.ndarray:
-    """Return the weights of elements at z, in lengths of the array, −1/2..1/2."""
-    return 1 + 2 * sum(
-        (f * np.cos(2 * np.pi * m * z) for m, f in enumerate(taper_series, 1)), np.zeros_like(z)
-    )
 
 
 @lru_cache(maxsize=8)

@@ -42,10 +42,9 @@ class SectorView:
 
     def __init__(self, sector: Sector, far_m: float, range_max_m: float):
         u, v = sector.u, sector.v
-        lattice = np.array([[u[1], u[2]], [v[1], v[2]]])
         corner = np.array([u[0], v[0]])
         ends = np.array([(i, j) for i in (-0.5, sector.columns - 0.5) for j in (-0.5, sector.rows - 0.5)])
-        ends = ends @ lattice.T + corner
+        ends = ends @ sector.steps.T + corner
         self.sector, self.sample_rad = sector, min(u[1], v[2])
         self.whole = Window(0, 0, sector.columns, sector.rows)
         self._last = self.whole, sector
@@ -53,7 +52,7 @@ class SectorView:
             SectorGeometry(
                 rotation=sector.rotation(),
                 limits=np.concatenate([[ends[:, k].min(), ends[:, k].max()] for k in range(2)]),
-                inverse=np.linalg.inv(lattice),
+                inverse=np.linalg.inv(sector.steps),
                 corner=corner,
                 size=np.array([sector.columns, sector.rows], float),
                 u=u,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -170,7 +170,6 @@ def make_fan(
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
     widths : ColumnWidths
     """
-    azimuths = sonar.azimuth_rad
     start, stop = ends_of_fan_rad(sonar, beams)
     span = stop - start
     n_sectors = max(1, math.ceil(span / MAX_SECTOR_RAD - 1e-9))
@@ -180,36 +179,11 @@ def make_fan(
     top_rad = math.radians(sonar.elevation_fov_deg) / 2
     max_elevation_rad = max(top_rad, math.radians(beams.max_elevation_deg))
     bands = _bands(sampling.rows, samples_per_sector, top_rad, max_elevation_rad, beams)
-    sectors, n_dense = [], 0
-    for samples, rows, limits in bands:
-        first, last = start, stop
-        if beams.are_cones:
-            first, last = azimuths_of_cones(start, stop, math.atan(max(map(abs, limits))))
-        n = max(1, math.ceil((last - first) / MAX_SECTOR_RAD - 1e-9))
-        half = (last - first) / n / 2
-        if beams.are_cones:  # as dense as in sectors that hold the columns at the horizon
-            samples = max(math.ceil(samples * half / half_width - 1e-9), 2)
-        sectors += [
-            make_sector(
-                first + half * (2 * k + 1), half, samples, rows, limits, shear, are_cones=beams.are_cones
-            )
-            for k in range(n)
-        ]
-        n_dense = n_dense or n
-    if beams.is_box:
-        ends = np.concatenate([azimuths - beams.support_rad, azimuths + beams.support_rad])
-        if span > 2 * math.pi - 1e-9:
-            ends = (ends + math.pi) % (2 * math.pi) - math.pi
-    else:
-        spacing = np.diff(azimuths).min(initial=span)
-        width = max(
-            min(span / n_samples, widths.max_width * spacing), beams.support_rad / COLUMNS_PER_SUPPORT
-        )
-        ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
+    dense, *others = (_sectors_of(band, (start, stop), half_width, shear, beams.are_cones) for band in bands)
+    sectors = [*dense, *chain.from_iterable(others)]
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
-    edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams]), start, stop))
-    if beams.is_box and math.isfinite(beams.transmit_width_rad):
-        edges = _divided(edges, beams.transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)
+    sample_rad = span / n_samples
+    edges = _column_edges(sonar.azimuth_rad, (start, stop), seams, sample_rad, beams, widths)
     wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
     if len(bands) > 1 and not beams.is_box:
         # The lattice that a ping is compared with has wider ones, so that the difference holds their error.
@@ -218,7 +192,7 @@ def make_fan(
         wide_edges = _wide_edges(edges, seams, width)
         if len(wide_edges) > 1:
             of_side_lobes = edges[wide_edges], len(edges) - 1
-    columns = [(edges, 0)] * n_dense + [of_side_lobes] * (len(sectors) - n_dense)
+    columns = [(edges, 0)] * len(dense) + [of_side_lobes] * (len(sectors) - len(dense))
     lay = make_cone_strips if beams.are_cones else make_strips
     sectors = tuple(
         replace(sector, strips=lay(sector, *mine)) for sector, mine in zip(sectors, columns, strict=True)
@@ -274,6 +248,61 @@ def _bands(
             band_rows = max(math.ceil((high - low) / (coarser * row * (1 + low * low)) - 1e-9), MIN_BAND_ROWS)
             bands += [_Band(few, band_rows, both) for both in ((low, high), (-high, -low))]
     return bands
+
+
+def _sectors_of(
+    band: _Band, ends_rad: tuple[float, float], half_width_rad: float, shear: float, are_cones: bool
+) -> list[Sector]:
+    """Return the sectors of a band, still without strips.
+
+    Parameters
+    ----------
+    ends_rad : azimuths between which the columns lie
+    half_width_rad : of sectors that hold the columns at the horizon
+    """
+    samples, rows, limits = band
+    first, last = ends_rad
+    if are_cones:
+        first, last = azimuths_of_cones(first, last, math.atan(max(map(abs, limits))))
+    n = max(1, math.ceil((last - first) / MAX_SECTOR_RAD - 1e-9))
+    half = (last - first) / n / 2
+    if are_cones:  # as dense as in sectors that hold the columns at the horizon
+        samples = max(math.ceil(samples * half / half_width_rad - 1e-9), 2)
+    middles = (first + half * (2 * k + 1) for k in range(n))
+    return [make_sector(middle, half, samples, rows, limits, shear, are_cones) for middle in middles]
+
+
+def _column_edges(
+    axes_rad: np.ndarray,
+    ends_rad: tuple[float, float],
+    seams_rad: np.ndarray,
+    sample_rad: float,
+    beams: BeamShape,
+    widths: ColumnWidths,
+) -> np.ndarray:
+    """Return the azimuths between which the columns lie, rising; columns end where sectors do.
+
+    Parameters
+    ----------
+    axes_rad : of the beams
+    ends_rad : of all columns
+    seams_rad : ends of the sectors
+    sample_rad : width of a sample, about
+    """
+    start, stop = ends_rad
+    span = stop - start
+    if beams.is_box:
+        ends = np.concatenate([axes_rad - beams.support_rad, axes_rad + beams.support_rad])
+        if span > 2 * math.pi - 1e-9:
+            ends = (ends + math.pi) % (2 * math.pi) - math.pi
+    else:
+        spacing = np.diff(axes_rad).min(initial=span)
+        width = max(min(sample_rad, widths.max_width * spacing), beams.support_rad / COLUMNS_PER_SUPPORT)
+        ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
+    edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams_rad]), start, stop))
+    if beams.is_box and math.isfinite(beams.transmit_width_rad):
+        return _divided(edges, beams.transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM)
+    return edges
 
 
 def azimuths_of_cones(first_rad: float, last_rad: float, elevation_rad: float) -> tuple[float, float]:

@@ -93,6 +93,11 @@ class Sector:
     tan_high: float
     strips: Strips | None = field(default=None, repr=False)
 
+    @property
+    def steps(self) -> np.ndarray:
+        """(2, 2) array, whose columns are the steps of (u, v) to the next sample of a row and to the next row."""
+        return np.array([self.u[1:], self.v[1:]])
+
     def within(self, first_column: int, first_row: int, columns: int, rows: int) -> Sector:
         """Return the sector whose lattice is that of a window of the samples."""
         u, v = (
@@ -130,8 +135,7 @@ class Sector:
         near_m, far_m : distances of the near and the far plane, metres
         """
         # pixel = inverse lattice of (u, v), where u = −y/x and v = z/x in the sector's frame
-        lattice = np.array([[self.u[1], self.u[2]], [self.v[1], self.v[2]]])
-        inverse = np.linalg.inv(lattice)
+        inverse = np.linalg.inv(self.steps)
         offset = 0.5 - inverse @ [self.u[0], self.v[0]]
         scale = np.array([2.0 / self.columns, 2.0 / self.rows])
         clip = np.zeros((4, 4))

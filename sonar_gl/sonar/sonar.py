@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -521,39 +521,15 @@ def load_sonar(what: str | Path) -> Sonar:
     if not isinstance(what, (str, Path)):
         raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {shown(what)})")
     if isinstance(what, str) and (changes := re.search(r",\s*\w+\s*=", what)) and not Path(what).exists():
-        text = what[changes.start() + 1 :]
-        for key in (item.partition("=")[0].strip() for item in text.split(",")):
-            if key in UNPARSED:
-                option = "; on a command line --counts changes it" if key == "counts" else ""
-                raise Error(
-                    f"sonar {text!r}: {key} cannot be changed by text (write it in the sonar's file, or give it to "
-                    f"dataclasses.replace{option})"
-                )
-        _, values = parse_fields("sonar", text, Sonar, without=UNPARSED)
-        return replace(load_sonar(what[: changes.start()]), **values)
-    known = presets()
-    text = str(what)
+        return _changed(what[: changes.start()], what[changes.start() + 1 :])
+    known, text = presets(), str(what)
     if isinstance(what, str) and text.casefold() in known:
         return known[text.casefold()]
     stem, mark, table = text.rpartition(".toml#")
     path = Path(stem + ".toml") if mark and not Path(text).exists() else Path(text)
     check_no_link_loop(path)
     if not path.is_file() and (path.suffix != ".toml" or not path.exists()):
-        if isinstance(what, str) and path.name == text and path.suffix != ".toml":
-            hint = nearest_names(text.casefold(), known)
-            if Path(f"{text}.toml").is_file():
-                hint = f"write {text}.toml for the file"
-            elif path.suffix:
-                hint += "; a sonar's file must end in .toml"
-            raise Error(f"unknown sonar (got {text!r}; {hint})")
-        if path.is_dir():
-            raise Error(
-                f"{path}: the sonar's file must be a file (got a folder; such as {path / 'mine.toml'})"
-            )
-        hint = "; a Path is that of a file: name a preset by text" if text.casefold() in known else ""
-        raise Error(
-            f"{path}: the sonar's file must exist (got none there; paths start at {Path.cwd()}{hint})"
-        )
+        raise _no_sonar_error(what, path, known)
     tables = _read_tables(path)
     if path != Path(text):  # the text names a table
         if table not in tables:
@@ -566,6 +542,35 @@ def load_sonar(what: str | Path) -> Sonar:
     else:
         (table,) = tables
     return _sonar_from_table(f"{path} [{table}]", table, tables[table])
+
+
+def _changed(what: str, text: str) -> Sonar:
+    """Return the sonar of a name or file, with changes of fields, "key=value,..."."""
+    for key in (item.partition("=")[0].strip() for item in text.split(",")):
+        if key in UNPARSED:
+            option = "; on a command line --counts changes it" if key == "counts" else ""
+            raise Error(
+                f"sonar {text!r}: {key} cannot be changed by text (write it in the sonar's file, or give it to "
+                f"dataclasses.replace{option})"
+            )
+    _, values = parse_fields("sonar", text, Sonar, without=UNPARSED)
+    return replace(load_sonar(what), **values)
+
+
+def _no_sonar_error(what: str | Path, path: Path, known: Collection[str]) -> Error:
+    """Return the error for what names neither a preset nor a file at `path`, which is where its file would be."""
+    text = str(what)
+    if isinstance(what, str) and path.name == text and path.suffix != ".toml":
+        hint = nearest_names(text.casefold(), known)
+        if Path(f"{text}.toml").is_file():
+            hint = f"write {text}.toml for the file"
+        elif path.suffix:
+            hint += "; a sonar's file must end in .toml"
+        return Error(f"unknown sonar (got {text!r}; {hint})")
+    if path.is_dir():
+        return Error(f"{path}: the sonar's file must be a file (got a folder; such as {path / 'mine.toml'})")
+    hint = "; a Path is that of a file: name a preset by text" if text.casefold() in known else ""
+    return Error(f"{path}: the sonar's file must exist (got none there; paths start at {Path.cwd()}{hint})")
 
 
 def presets() -> dict[str, Sonar]:

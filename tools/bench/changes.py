@@ -29,20 +29,17 @@ def drop(pings):
     deque(pings, maxlen=0)
 
 
-def sequence_gain(name: str, n: int, rounds: int) -> float:
+def sequence_gain(name: str, n: int, rounds: int, warm_up: int = 1, engine: str | None = None) -> float:
     """Return the time of n pings one by one over that of a sequence (`Simulator.pings`), of a scene."""
     scene, sonar = make_scene(name), make_sonar(name, "wide")
     poses = [harness.creep(scene.sonar_pose, k) for k in range(n)]
-    with sg.Simulator(scene, sonar, IDEAL) as simulator:
+    with sg.Simulator(scene, sonar, IDEAL, engine=engine) as simulator:
         simulator.plan([scene.sonar_pose])
-        times = harness.take_turns(
-            {
-                "one by one": lambda _: drop(map(simulator.ping, poses)),
-                "sequence": lambda _: drop(simulator.pings(poses)),
-            },
-            rounds,
-            warm_up=1,
-        )
+        ways = {
+            "one by one": lambda _: drop(map(simulator.ping, poses)),
+            "sequence": lambda _: drop(simulator.pings(poses)),
+        }
+        times = harness.take_turns(ways, rounds, warm_up)
     return harness.ratio(times["one by one"], times["sequence"])
 
 

@@ -19,7 +19,7 @@ import sonar_gl as sg
 from sonar_gl.core.warn import collected_warnings
 from tools import internals
 from tools.bench import harness
-from tools.bench.changes import drop
+from tools.bench.changes import sequence_gain
 from tools.bench.harness import Aim
 from tools.chart.scenes import make_scene, make_sonar
 
@@ -81,15 +81,8 @@ def engines_of(name: str, rounds: int) -> dict[str, float]:
     if "opengl" in times:
         out["opengl / cpu"] = harness.ratio(times["opengl"], times["cpu"])
     out["labels"] = harness.ratio(times["labels"], times["cpu"])
-    poses = [harness.creep(scene.sonar_pose, k) for k in range(FEW)]
-    with sg.Simulator(scene, sonar, IDEAL, engine="cpu") as simulator:
-        simulator.plan([scene.sonar_pose])
-        ways = {
-            "one by one": lambda _: drop(map(simulator.ping, poses)),
-            "sequence": lambda _: drop(simulator.pings(poses)),
-        }
-        times = harness.take_turns(ways, max(3, rounds // 12))
-    out["one by one / sequence"] = harness.ratio(times["one by one"], times["sequence"])
+    few = FEW, max(3, rounds // 12), harness.WARM_UP
+    out["one by one / sequence"] = sequence_gain(name, *few, engine="cpu")
     return out
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import moderngl
 import numpy as np
 
+from sonar_gl.core.data_files import data_folder
 from sonar_gl.gl.context import is_software
 from sonar_gl.gl.memory import check_driver
 from sonar_gl.gl.shaders import compile_program
@@ -111,8 +112,8 @@ class SceneBuffers:
     uploaded : UploadedMeshes
     """
 
-    def __init__(self, context: moderngl.Context, scene: Scene, shader_folder):
-        self.context, self.shader_folder = context, shader_folder
+    def __init__(self, context: moderngl.Context, scene: Scene):
+        self.context, self._shader_folder = context, data_folder("shaders")
         self.indirect = has_indirect_draws(context)
         # exact on a card; a software driver interpolates well, and a geometry shader nearly doubles its time
         self._corner_planes = not is_software(context.info["GL_RENDERER"])
@@ -144,7 +145,7 @@ class SceneBuffers:
             if (key := tuple(defines.values())) not in self._programs:
                 planes = ("gbuffer.geom",) if self._corner_planes else ()
                 files = "gbuffer.vert", *planes, "gbuffer.frag"
-                self._programs[key] = compile_program(self.context, self.shader_folder, files, defines)
+                self._programs[key] = compile_program(self.context, self._shader_folder, files, defines)
             program = self._programs[key]
             layout = [(uploaded.points.buffer, "3f", "in_position")]
             if features["SHADING_NORMALS"]:

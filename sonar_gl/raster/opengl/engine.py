@@ -7,7 +7,6 @@ from contextlib import contextmanager
 
 import moderngl
 
-from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
@@ -37,7 +36,7 @@ class OpenGLEngine:
         try:
             with self._context:
                 self.driver = {"engine": self.name, **gl.describe(self._context)}
-                self._buffers = SceneBuffers(self._context, scene, data_folder("shaders"))
+                self._buffers = SceneBuffers(self._context, scene)
         except BaseException:
             lifetime.discard(self._context)  # the exception holds what is in it
             raise

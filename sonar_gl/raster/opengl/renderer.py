@@ -265,12 +265,12 @@ class OpenGLRenderer:
         out.clear()
         draws = [self._lay_out(number, one, full) for number, one in enumerate(bodies)]
         for target, sectors in zip(targets, draws, strict=True):
-            target.width, target.height = (
-                sum(d.window.columns for d in sectors),
-                max(d.window.rows for d in sectors),
-            )
+            target.width = sum(d.window.columns for d in sectors)
+            target.height = max(d.window.rows for d in sectors)
             target.has_bodies = with_bodies
-        self._check_room(max(one.width for one in targets), max(one.height for one in targets))
+        width, height = (max(getattr(one, side) for one in targets) for side in ("width", "height"))
+        self._check_size(width, height)
+        check_samples(width, height, self._workspace.most_samples)
         if out.used:
             self._buffers.upload(rows, out)
         for target, sectors, one in zip(targets, draws, bodies, strict=True):
@@ -332,16 +332,11 @@ class OpenGLRenderer:
         return samples_of(self._sectors, windows, *target.read(), body_spans=bodies.spans)
 
     def _check_size(self, width: int, height: int) -> None:
-        got = f"(got {width} columns by {height} rows; ask for a larger tolerance or fewer samples)"
         if max(width, height) > self._limit:
             raise SampleLimitError(
-                f"samples must fit the driver's limit of {self._limit} by {self._limit} pixels {got}"
+                f"samples must fit the driver's limit of {self._limit} by {self._limit} pixels (got {width} columns by "
+                f"{height} rows; ask for a larger tolerance or fewer samples)"
             )
-
-    def _check_room(self, width: int, height: int) -> None:
-        """Raise an Error if a render target must not have so many pixels."""
-        self._check_size(width, height)
-        check_samples(width, height, self._workspace.most_samples)
 
     def _uniforms_of(self, program, view: SectorView) -> list[tuple[str, bytes]]:
         """Return the uniforms of a sector, the same for every ping."""
