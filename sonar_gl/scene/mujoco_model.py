@@ -17,7 +17,7 @@ from sonar_gl.core.input_files import note_file
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import primitives
 from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
-from sonar_gl.scene.materials import Material, material
+from sonar_gl.scene.materials import Material, find_material
 from sonar_gl.scene.primitives import Shape, make_shape
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Scene
 from sonar_gl.scene.sdf.resources import Resources
@@ -339,10 +339,7 @@ def _echoes(model, geom: int) -> bool:
 def _material(model, geom: int) -> Material | None:
     """Return the acoustic material of a geom, if its MuJoCo material has the name of one."""
     number = model.geom_matid[geom]
-    try:
-        return material(model.mat(number).name) if number >= 0 else None
-    except Error:  # a name without acoustic meaning
-        return None
+    return find_material(model.mat(number).name) if number >= 0 else None
 
 
 def _lobe(found: Material | None) -> tuple:

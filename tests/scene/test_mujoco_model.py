@@ -115,6 +115,13 @@ def test_materials_of_known_names_have_their_acoustics():
     assert (frame.name, frame.material, frame.specular) == ("rov::frame", "steel", steel.specular)
 
 
+def test_names_without_acoustic_meaning_cost_no_hint(monkeypatch):
+    """Hints about the spelling took much of the time in which many bodies are loaded."""
+    monkeypatch.setattr("sonar_gl.scene.materials.nearest_names", lambda *_: pytest.fail("a hint is made"))
+    scene, _ = load(model_of("<geom size='1' material='grid'/>", "<asset><material name='grid'/></asset>"))
+    assert scene.bodies[0].material is None
+
+
 def test_a_geom_of_the_world_may_have_the_name_of_a_body():
     scene, _ = load(model_of("<geom name='a' size='1'/><body name='a'><geom size='2'/></body>"))
     assert [body.name for body in scene.bodies] == ["world::a", "a"]
