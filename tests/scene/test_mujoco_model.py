@@ -22,6 +22,8 @@ ARM = """<geom name="floor" type="plane" size="4 3 1"/>
 <body name="arm" pos="1 0 0"><joint name="turn" axis="0 0 1"/><geom type="box" size="1 .1 .2" pos="1 0 0"/>
   <body pos="2 0 0"><joint type="slide"/><geom type="sphere" size=".3"/></body>
 </body>"""
+CLOTH = """<flexcomp name="cloth" type="grid" dim="2" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1">
+  <edge equality="true"/></flexcomp>"""
 
 
 def model_of(bodies, before=""):
@@ -227,9 +229,7 @@ def test_other_objects_are_refused():
 
 
 def test_what_deforms_is_left_out():
-    flex = """<flexcomp name="cloth" type="grid" dim="2" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1">
-      <edge equality="true"/></flexcomp>"""
-    _, warned = load(model_of(f"<geom size='1'/>{flex}"))
+    _, warned = load(model_of(f"<geom size='1'/>{CLOTH}"))
     assert warned == ["flexes and skins of the MuJoCo model are left out (they deform)"]
 
 
@@ -298,6 +298,16 @@ def test_errors_of_files(tmp_path, text, message):
     path.write_text(text)
     found = error_message(path)
     assert found.startswith(f"{path}: ") and message in found and "\n" not in found
+
+
+def test_warnings_name_the_file(tmp_path):
+    path = tmp_path / "a.xml"
+    path.write_text(MODEL.format("", f"<geom size='1'/>{CLOTH}"))
+    with pytest.warns(UserWarning) as caught:
+        load_scene(path)
+    material, deforming = (str(one.message) for one in caught)
+    assert material.startswith(f"{path}: no material of a known name in 1 of 1 bodies (geom_0); ")
+    assert deforming == f"{path}: flexes and skins of the MuJoCo model are left out (they deform)"
 
 
 def test_sdf_and_urdf_may_be_named_xml(tmp_path):
