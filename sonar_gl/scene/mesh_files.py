@@ -124,9 +124,8 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
     except (
         Exception
     ) as why:  # trimesh and its parsers raise anything, also when what they have read is looked at
-        raise Error(
-            f"{path}: trimesh cannot read this mesh ({type(why).__name__}: {_first_line(why)})"
-        ) from None
+        text = ": ".join(filter(None, (type(why).__name__, _first_line(why))))  # some have no text
+        raise Error(f"{path}: trimesh cannot read this mesh ({text})") from None
 
 
 def _load_file(path: Path, roots: Collection[Path]):
