@@ -294,8 +294,7 @@ class BatchRequests(Sequence):
 
     def bodies_and_plumes(self, scene: int) -> dict:
         """Return the bodies and plumes of a scene by name."""
-        loaded = self.scene(scene)
-        return {entry.name: entry for entry in (*loaded.bodies, *loaded.plumes)}
+        return {entry.name: entry for entry in self.scene(scene).bodies_and_plumes}
 
     def moved_names(self, scene: int, table: int) -> list[str]:
         """Return the bodies of a scene that a table of moved bodies matches; it may be none of this scene."""
@@ -354,7 +353,7 @@ def _load_for_job(what: str, folders: list[Path], skip_missing: bool) -> Scene:
 
 def _names(scene: Scene) -> list[str]:
     """Return the names of bodies and plumes."""
-    return [entry.name for entry in (*scene.bodies, *scene.plumes)]
+    return [entry.name for entry in scene.bodies_and_plumes]
 
 
 def _matched(patterns: list[str], scene: Scene) -> list[str]:

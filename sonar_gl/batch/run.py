@@ -357,7 +357,7 @@ def _pose_text(pose: np.ndarray) -> str:
 
 def _contents_text(scene: Scene) -> str:
     """Return what is in a scene: its bodies, plumes, and water's surface."""
-    names = ", ".join(entry.name for entry in (*scene.bodies, *scene.plumes))
+    names = ", ".join(entry.name for entry in scene.bodies_and_plumes)
     surface = "" if scene.surface_z_m is None else f"; the water's surface at z = {scene.surface_z_m:g} m"
     return names + surface
 

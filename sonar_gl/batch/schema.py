@@ -31,6 +31,7 @@ from sonar_gl.sonar.sonar import Sonar
 BACKGROUND_WORDS = "floor", "ground", "seabed", "terrain", "heightmap", "wall"  # in names of bodies
 ELEVATION_STEP_RAD, NO_ELEVATION = 1e-4, -32768
 INCIDENCE_STEP_RAD, NO_INCIDENCE = math.pi / 2 / 254, 255
+STRONGEST = "of the strongest echo"
 
 # ---- arrays and their encoding ----------------------------------------------------------------------
 
@@ -138,75 +139,63 @@ def bin_layers(
         found = ping.body_id.astype(body_dtype)
         return np.where(found > 0, found + np.asarray(first, body_dtype), found) if first else found
 
-    def layer(name, dtype, fill, encode, **attributes):
-        return Layer(name, dtype, (sonar.n_beams, sonar.n_bins), ("beam", "range"), fill, attributes, encode)
+    def encode_class(ping, class_id, _first):
+        return _take(class_id, ping.body_id)
 
-    def quantized(name, dtype, missing, step, long_name, units, names_missing=True):
+    def layer(name, dtype, encode, long_name, fill=0, **more):
+        dims, attributes = ("beam", "range"), {"long_name": long_name, **more}
+        return Layer(name, dtype, (sonar.n_beams, sonar.n_bins), dims, fill, attributes, encode)
+
+    def quantized(name, dtype, step, long_name, units, fill=0, **more):
         """The field `name` of a ping, in steps."""
-        attributes = {"long_name": long_name, "units": units, "scale_factor": step}
-        attributes |= {"_FillValue": missing} if names_missing else {}
-        return layer(
-            name,
-            dtype,
-            missing,
-            lambda ping, *_: _quantize(getattr(ping, name), step, missing, dtype),
-            **attributes,
-        )
+
+        def encode(ping, *_):
+            return _quantize(getattr(ping, name), step, fill, dtype)
+
+        return layer(name, dtype, encode, long_name, fill, units=units, scale_factor=step, **more)
+
+    def missing(value):
+        return {"fill": value, "_FillValue": value}
 
     known = {
         "intensity": layer(
             "intensity",
             "float32",
-            0.0,
             lambda ping, *_: round_mantissa(ping.intensity, mantissa_bits),
-            long_name="echo intensity",
+            "echo intensity",
+            fill=0.0,
             units="1",
             comment="linear, power-like; a sphere of reflectivity μ about the sonar reads μ G(r)",
             mantissa_bits=mantissa_bits,
             relative_error_max=error,
         ),
-        "body": layer(
-            "body_id",
-            body_dtype,
-            0,
-            encode_body,
-            long_name="body of the strongest echo, 0 for none",
-        ),
-        "class": layer(
-            "class_id",
-            class_dtype,
-            0,
-            lambda ping, class_id, _first: _take(class_id, ping.body_id),
-            long_name="class of the body of the strongest echo, 0 for none",
-        ),
+        "body": layer("body_id", body_dtype, encode_body, f"body {STRONGEST}, 0 for none"),
+        "class": layer("class_id", class_dtype, encode_class, f"class of the body {STRONGEST}, 0 for none"),
         "elevation": quantized(
             "elevation_rad",
             "int16",
-            NO_ELEVATION,
             ELEVATION_STEP_RAD,
-            "elevation of the strongest echo",
+            f"elevation {STRONGEST}",
             "rad",
+            **missing(NO_ELEVATION),
         ),
         "range": quantized(
-            "true_range_m", "uint16", 0, range_step_m, "slant range of the strongest echo", "m"
+            "true_range_m", "uint16", range_step_m, f"slant range {STRONGEST}", "m", **missing(0)
         ),
         "incidence": quantized(
             "incidence_rad",
             "uint8",
-            NO_INCIDENCE,
             INCIDENCE_STEP_RAD,
-            "incidence of the strongest echo",
+            f"incidence {STRONGEST}",
             "rad",
+            **missing(NO_INCIDENCE),
         ),
-        "share": quantized(
-            "share", "uint8", 0, 1 / 255, "share of the strongest body in the echo", "1", names_missing=False
-        ),
+        "share": quantized("share", "uint8", 1 / 255, "share of the strongest body in the echo", "1"),
         "shadow": layer(
             "shadow",
             "uint8",
-            0,
             lambda ping, *_: ping.shadow.astype(np.uint8),
-            long_name="1 where the background would echo but for a body before it",
+            "1 where the background would echo but for a body before it",
             units="1",
         ),
     }

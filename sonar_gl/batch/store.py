@@ -343,90 +343,55 @@ def ping_variables(requests: BatchRequests, table: PingTable, sonar: str) -> Ite
     """Yield the variables of one sonar's pings."""
     mount, n_moved = requests.mounts[sonar], len(table.moved)
 
-    def variable(name, dtype, values, shape=(), dims=(), **attributes):
-        return PingVariable(name, dtype, shape, dims, np.nan if dtype == "float64" else 0, attributes, values)
+    def variable(name, values, long_name, dtype="float64", shape=(), dims=(), **more):
+        fill = np.nan if dtype == "float64" else 0
+        return PingVariable(name, dtype, shape, dims, fill, {"long_name": long_name, **more}, values)
 
-    def first_of(name):
-        return lambda rows: table.column(rows, name)[:, 0]
+    def column(name, k=0):
+        return lambda rows: table.column(rows, name)[:, k]
+
+    def sonar_poses(rows):
+        return table.column(rows, "pose").reshape(-1, 4, 4) @ mount
+
+    def n_rows(rows):
+        return np.nan_to_num(table.column(rows, ("sampling", sonar))[:, 1])
 
     def moved_poses(rows):
         upper = table.column(rows, "moved").reshape(-1, n_moved, 3, 4)
         last = np.broadcast_to([[[[0.0, 0.0, 0.0, 1.0]]]], (len(rows), n_moved, 1, 4))
         return np.concatenate([upper, last], axis=2)
 
-    yield variable(
-        "status",
-        "uint8",
-        first_of("status"),
-        long_name="0 not made, 1 made, 2 set aside",
-        flag_values=[NOT_MADE, MADE, SET_ASIDE],
-        flag_meanings="not_made made set_aside",
-    )
-    yield variable("scene", "uint16", first_of("scene"), long_name="index into scenes")
-    yield variable("time_s", "float64", first_of("time_s"), long_name="time of transmission", units="s")
-    yield variable(
-        "pose",
-        "float64",
-        lambda rows: table.column(rows, "pose").reshape(-1, 4, 4) @ mount,
-        (4, 4),
-        ("row", "column"),
-        long_name="world_from_sonar",
-        comment="metres, x ahead, y to port, z up",  # not units, which CF readers would parse
-    )
-    yield variable(
-        "echo", "float64", first_of(("echo", sonar)), long_name="sum of intensity before noise", units="1"
-    )
-    yield variable(
-        "error_estimate",
-        "float64",
-        first_of(("error_estimate", sonar)),
-        long_name="share of the echo in wrong bins, in 95 of 100 pings less",
-        units="1",
-    )
-    yield variable(
-        "columns_per_beam",
-        "float64",
-        first_of(("sampling", sonar)),
-        long_name="samples across one beam spacing, in azimuth",
-        units="1",
-    )
-    yield variable(
-        "rows",
-        "uint16",
-        lambda rows: np.nan_to_num(table.column(rows, ("sampling", sonar))[:, 1]),
-        long_name="samples up the elevation aperture, 0 where no ping was made",
-        units="1",
-    )
+    def mu_of_bodies(rows):
+        return table.column(rows, "reflectivity")
+
+    def of_bodies(bodies):
+        return {"bodies": [name for _, name in bodies], "scenes": [scene for scene, _ in bodies]}
+
+    flags = {"flag_values": [NOT_MADE, MADE, SET_ASIDE], "flag_meanings": "not_made made set_aside"}
+    yield variable("status", column("status"), "0 not made, 1 made, 2 set aside", "uint8", **flags)
+    yield variable("scene", column("scene"), "index into scenes", "uint16")
+    yield variable("time_s", column("time_s"), "time of transmission", units="s")
+    axes = "metres, x ahead, y to port, z up"  # not units, which CF readers would parse
+    shape, dims = (4, 4), ("row", "column")
+    yield variable("pose", sonar_poses, "world_from_sonar", shape=shape, dims=dims, comment=axes)
+    yield variable("echo", column(("echo", sonar)), "sum of intensity before noise", units="1")
+    long_name = "share of the echo in wrong bins, in 95 of 100 pings less"
+    yield variable("error_estimate", column(("error_estimate", sonar)), long_name, units="1")
+    long_name = "samples across one beam spacing, in azimuth"
+    yield variable("columns_per_beam", column(("sampling", sonar)), long_name, units="1")
+    long_name = "samples up the elevation aperture, 0 where no ping was made"
+    yield variable("rows", n_rows, long_name, "uint16", units="1")
     for group, keys in (("water", table.water), ("noise", table.noise)):
         for k, key in enumerate(keys):
-            yield variable(
-                f"{group}_{key}",
-                "float64",
-                lambda rows, group=group, k=k: table.column(rows, group)[:, k],
-                long_name=f"{key} of the {group}",
-            )
+            yield variable(f"{group}_{key}", column(group, k), f"{key} of the {group}")
     if n_moved:
-        yield variable(
-            "moved_pose",
-            "float64",
-            moved_poses,
-            (n_moved, 4, 4),
-            ("moved", "row", "column"),
-            long_name="world_from_body, NaN for what is not there",
-            bodies=[name for _, name in table.moved],
-            scenes=[scene for scene, _ in table.moved],
-        )
-    if table.with_reflectivity:
-        yield variable(
-            "reflectivity",
-            "float64",
-            lambda rows: table.column(rows, "reflectivity"),
-            (len(table.with_reflectivity),),
-            ("coloured",),
-            long_name="μ of bodies that differ",
-            bodies=[name for _, name in table.with_reflectivity],
-            scenes=[scene for scene, _ in table.with_reflectivity],
-        )
+        shape, dims = (n_moved, 4, 4), ("moved", "row", "column")
+        long_name = "world_from_body, NaN for what is not there"
+        yield variable("moved_pose", moved_poses, long_name, shape=shape, dims=dims, **of_bodies(table.moved))
+    if coloured := table.with_reflectivity:
+        shape, dims = (len(coloured),), ("coloured",)
+        long_name = "μ of bodies that differ"
+        yield variable("reflectivity", mu_of_bodies, long_name, shape=shape, dims=dims, **of_bodies(coloured))
 
 
 def gather_ping_variables(

@@ -13,7 +13,7 @@ from sonar_gl.scene.scene import Scene
 
 def scene_poses(scene: Scene) -> dict[str, np.ndarray]:
     """Return where a scene has its bodies and plumes, by name: (4, 4) world_from_body."""
-    return {thing.name: thing.pose for thing in (*scene.bodies, *scene.plumes)}
+    return {thing.name: thing.pose for thing in scene.bodies_and_plumes}
 
 
 class BodyPoses:

@@ -185,7 +185,7 @@ class Publisher:
         self._in_background, self._work = in_background, None
         self._clock_ns, self._reported_s, self._reported = None, time.monotonic(), PublisherCounts()
         self._is_placed, self._pose, self._moved = False, None, {}
-        self._names = {thing.name for thing in (*scene.bodies, *scene.plumes)} | set(scene.models)
+        self._names = {thing.name for thing in scene.bodies_and_plumes} | set(scene.models)
         self._is_own_pose, self._are_own_bodies = True, True
         self._sonar, self._noise = sonar, noise
         self._executor = ThreadPoolExecutor(1, "simulation")

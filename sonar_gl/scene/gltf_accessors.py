@@ -20,18 +20,24 @@ TRIANGLE_FAN = 6  # a mode of primitives
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
-def check_accessors(path: Path) -> None:
-    """Refuse a glTF file whose accessors are larger than the parts of buffers that they name.
+def check_geometry(path: Path) -> None:
+    """Refuse a glTF file of which trimesh would make too large arrays, or wrong vertices; warn of what it leaves out.
 
     A file whose header is broken in another way passes: trimesh says what is wrong with it.
 
     Raises
     ------
     Error
-        with the number of the accessor, also if accessors that name no buffer have more than MAX_ZEROS elements
-        together: they are zeros, of which a few bytes could state any number.
+        with the number of an accessor that is larger than the part of a buffer that it names; also if accessors that
+        name no buffer have more than MAX_ZEROS elements together: they are zeros, of which a few bytes could state any
+        number. With the name of a mesh whose positions are compressed, sparse, or normalized integers.
     """
     header = _read_header(path)
+    _check_accessors(header, path)
+    _check_positions(header, path)
+
+
+def _check_accessors(header: dict, path: Path) -> None:
     n_zeros = 0
     for number, accessor in enumerate(_dicts(header, "accessors")):
         count = accessor.get("count")
@@ -53,17 +59,8 @@ def check_accessors(path: Path) -> None:
             )
 
 
-def check_positions(path: Path) -> None:
-    """Refuse a glTF file whose vertices trimesh would read wrongly; warn of what it leaves out.
-
-    A file whose header is broken in another way passes, as in `check_accessors`.
-
-    Raises
-    ------
-    Error
-        with the name of the mesh, if its positions are compressed, sparse, or normalized integers.
-    """
-    header = _read_header(path)
+def _check_positions(header: dict, path: Path) -> None:
+    """Refuse vertices that trimesh would read wrongly; warn of what it leaves out."""
     fans = []
     for number, mesh in enumerate(_dicts(header, "meshes")):
         name = str(mesh.get("name") or number)

@@ -70,14 +70,22 @@ def material(name: str) -> Material:
     >>> material("medium sand").density_ratio
     1.845
     """
-    known = materials()
     if not isinstance(name, str):
-        raise Error(f"a material must be a name (got {shown(name)}; such as {next(iter(known))!r})")
-    key = "_".join(name.casefold().replace("-", " ").replace("_", " ").split())
-    if key not in known:
-        hint = f"{nearest_names(key, known)}; `sonar-gl materials` lists them"
+        raise Error(f"a material must be a name (got {shown(name)}; such as {next(iter(_materials()))!r})")
+    found = find_material(name)
+    if found is None:
+        hint = f"{nearest_names(_key(name), _materials())}; `sonar-gl materials` lists them"
         raise Error(f"unknown material (got {name!r}; {hint})")
-    return known[key]
+    return found
+
+
+def find_material(name: str) -> Material | None:
+    """Return the material of a name as `material` does; None for an unknown one, at no cost of a hint."""
+    return _materials().get(_key(name))
+
+
+def _key(name: str) -> str:
+    return "_".join(name.casefold().replace("-", " ").replace("_", " ").split())
 
 
 def materials() -> dict[str, Material]:

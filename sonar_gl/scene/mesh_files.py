@@ -16,7 +16,7 @@ from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_is_file
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.collada_files import read_collada
-from sonar_gl.scene.gltf_accessors import check_accessors, check_positions
+from sonar_gl.scene.gltf_accessors import check_geometry
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
 from sonar_gl.scene.obj_text import tidy_obj
@@ -124,9 +124,8 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
     except (
         Exception
     ) as why:  # trimesh and its parsers raise anything, also when what they have read is looked at
-        raise Error(
-            f"{path}: trimesh cannot read this mesh ({type(why).__name__}: {_first_line(why)})"
-        ) from None
+        text = ": ".join(filter(None, (type(why).__name__, _first_line(why))))  # some have no text
+        raise Error(f"{path}: trimesh cannot read this mesh ({text})") from None
 
 
 def _load_file(path: Path, roots: Collection[Path]):
@@ -135,8 +134,7 @@ def _load_file(path: Path, roots: Collection[Path]):
     if suffix == ".dae":
         return _load_collada(path)
     if suffix in BUFFER_SUFFIXES:
-        check_accessors(path)
-        check_positions(path)
+        check_geometry(path)
         return _load(path, resolver=MeshBuffers(path, roots or [path.parent]))
     if suffix in TIDY:
         with errors_at(str(path)):

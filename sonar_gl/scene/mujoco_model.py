@@ -17,7 +17,7 @@ from sonar_gl.core.input_files import note_file
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import primitives
 from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
-from sonar_gl.scene.materials import Material, material
+from sonar_gl.scene.materials import Material, find_material
 from sonar_gl.scene.primitives import Shape, make_shape
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Scene
 from sonar_gl.scene.sdf.resources import Resources
@@ -56,8 +56,14 @@ def is_mujoco_model(what) -> bool:
     return kind.__module__.partition(".")[0] == "mujoco" and kind.__name__ in ("MjModel", "MjData")
 
 
-def convert_mujoco_model(what, name: str = "scene") -> Scene:
+def convert_mujoco_model(what, name: str = "scene", path: Path | None = None) -> Scene:
     """Return the scene of a mujoco.MjModel at its reference configuration, or of a mujoco.MjData as it is now.
+
+    Parameters
+    ----------
+    what : mujoco.MjModel or mujoco.MjData
+    name : of the scene
+    path : file that warnings name; None for an object
 
     Raises
     ------
@@ -93,13 +99,14 @@ def convert_mujoco_model(what, name: str = "scene") -> Scene:
             bodies.append(body_of_shapes(part.name, group, pose, _lobe(found)))
         if any(_material(model, g) is None for g in part.geoms):
             unspecified.append(part.name)
+    where = "" if path is None else f"{path}: "
     if unspecified:
         warn_caller(
-            f"no material of a known name in {len(unspecified)} of {len(bodies)} bodies ({some_names(unspecified)}); "
-            f"their reflectivity is taken as {DEFAULT_REFLECTIVITY}"
+            f"{where}no material of a known name in {len(unspecified)} of {len(bodies)} bodies "
+            f"({some_names(unspecified)}); their reflectivity is taken as {DEFAULT_REFLECTIVITY}"
         )
     if model.nflex or model.nskin:
-        warn_caller("flexes and skins of the MuJoCo model are left out (they deform)")
+        warn_caller(f"{where}flexes and skins of the MuJoCo model are left out (they deform)")
     carrier = _sonar(model)
     return Scene(bodies, None if carrier is None else _sonar_pose(data, carrier), name)
 
@@ -184,7 +191,7 @@ def read_mjcf(path: Path, resource_paths=()) -> Scene:
     except ValueError as why:
         raise Error(f"{path}: MuJoCo cannot read this model ({' '.join(str(why).split())})") from None
     with errors_at(str(path)):
-        return convert_mujoco_model(model, path.stem)
+        return convert_mujoco_model(model, path.stem, path)
 
 
 def _check_files(main: Path, resources: Resources) -> None:
@@ -339,10 +346,7 @@ def _echoes(model, geom: int) -> bool:
 def _material(model, geom: int) -> Material | None:
     """Return the acoustic material of a geom, if its MuJoCo material has the name of one."""
     number = model.geom_matid[geom]
-    try:
-        return material(model.mat(number).name) if number >= 0 else None
-    except Error:  # a name without acoustic meaning
-        return None
+    return find_material(model.mat(number).name) if number >= 0 else None
 
 
 def _lobe(found: Material | None) -> tuple:

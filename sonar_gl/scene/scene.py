@@ -349,12 +349,12 @@ class Scene(ArraysStayReadOnly):
             if a pattern matches nothing.
         """
         left_out = self._matching(patterns)
-        return self._with([thing for thing in (*self.bodies, *self.plumes) if thing.name not in left_out])
+        return self._with([thing for thing in self.bodies_and_plumes if thing.name not in left_out])
 
     def only(self, *patterns: str) -> Scene:
         """Return the same scene with the bodies and plumes of these names alone; parameters as for `without`."""
         kept = self._matching(patterns)
-        return self._with([thing for thing in (*self.bodies, *self.plumes) if thing.name in kept])
+        return self._with([thing for thing in self.bodies_and_plumes if thing.name in kept])
 
     def parts_of(self, model: str) -> dict[str, np.ndarray]:
         """Return (4, 4) model_from_body of each body and plume of a model, by name; none of other names."""
@@ -373,7 +373,7 @@ class Scene(ArraysStayReadOnly):
     def _things_of_models(self) -> dict[str, list[Body | Bubbles]]:
         """The bodies and plumes of each model that has any, found for all at once: there may be a thousand models."""
         out = {}
-        for thing in (*self.bodies, *self.plumes):
+        for thing in self.bodies_and_plumes:
             ends = [match.start() for match in SEPARATOR.finditer(thing.name)]
             for model in {thing.name, *(thing.name[:end] for end in ends)} & self.models.keys():
                 out.setdefault(model, []).append(thing)
@@ -381,7 +381,7 @@ class Scene(ArraysStayReadOnly):
 
     def with_surface(self, surface_z_m: float | None) -> Scene:
         """Return the same scene with the water's surface at this height, metres; None = out of reach."""
-        return self._with((*self.bodies, *self.plumes), surface_z_m)
+        return self._with(self.bodies_and_plumes, surface_z_m)
 
     def _with(self, things, *surface_z_m: float | None) -> Scene:
         (height_m,) = surface_z_m or (self.surface_z_m,)
@@ -390,7 +390,7 @@ class Scene(ArraysStayReadOnly):
         )
 
     def _matching(self, patterns) -> set[str]:
-        names, found = [thing.name for thing in (*self.bodies, *self.plumes)], set()
+        names, found = [thing.name for thing in self.bodies_and_plumes], set()
         for pattern in patterns:
             check_kind("a name of bodies", pattern, str, 'such as "boat*"')
             matching = matching_names([pattern], names)
@@ -404,6 +404,11 @@ class Scene(ArraysStayReadOnly):
     def sonar(self) -> Sonar | None:
         """The sonar that the scene's file describes, at `sonar_pose`; None if it describes none."""
         return self.sensors[0].sonar if self.sensors else None
+
+    @property
+    def bodies_and_plumes(self) -> tuple[Body | Bubbles, ...]:
+        """The bodies and then the plumes: all that names stand for, and that moves."""
+        return (*self.bodies, *self.plumes)
 
     @property
     def n_triangles(self) -> int:

@@ -95,12 +95,20 @@ def test_positions_that_would_be_read_wrongly_are_refused(
     )
 
 
+def test_a_view_beyond_its_buffer_is_refused_without_an_empty_text(write):
+    """trimesh asserts it, and gives no text."""
+    path = write(bufferViews=[{"buffer": 0, "byteLength": 64}])
+    with pytest.raises(Error) as caught:
+        load_scene(path)
+    assert str(caught.value) == f"{path}: trimesh cannot read this mesh (AssertionError)"
+
+
 def test_draco_with_its_library_or_with_plain_positions_beside_it(write, monkeypatch):
     compressed = TRIANGLE | {"extensions": DRACO}
     monkeypatch.setattr(gltf_accessors, "find_spec", lambda name: None)
-    gltf_accessors.check_positions(write(PLAIN, [compressed]))
+    gltf_accessors.check_geometry(write(PLAIN, [compressed]))
     monkeypatch.setattr(gltf_accessors, "find_spec", lambda name: name)
-    gltf_accessors.check_positions(write({"componentType": 5126, "count": 3, "type": "VEC3"}, [compressed]))
+    gltf_accessors.check_geometry(write({"componentType": 5126, "count": 3, "type": "VEC3"}, [compressed]))
 
 
 @pytest.mark.parametrize(

@@ -470,7 +470,7 @@ def test_bodies_are_left_out_by_name():
     def names(one):
         np.testing.assert_array_equal(one.sonar_pose, pose(x=1))
         assert (one.name, one.surface_z_m, one.surface_roughness_m) == ("harbour", 3.0, 0.01)
-        return [thing.name for thing in (*one.bodies, *one.plumes)]
+        return [thing.name for thing in one.bodies_and_plumes]
 
     assert names(scene.without("boat*")) == ["wall", "bubbles"]
     assert names(scene.without("wall", "bubbles", "boat_?")) == []

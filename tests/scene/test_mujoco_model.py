@@ -22,6 +22,8 @@ ARM = """<geom name="floor" type="plane" size="4 3 1"/>
 <body name="arm" pos="1 0 0"><joint name="turn" axis="0 0 1"/><geom type="box" size="1 .1 .2" pos="1 0 0"/>
   <body pos="2 0 0"><joint type="slide"/><geom type="sphere" size=".3"/></body>
 </body>"""
+CLOTH = """<flexcomp name="cloth" type="grid" dim="2" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1">
+  <edge equality="true"/></flexcomp>"""
 
 
 def model_of(bodies, before=""):
@@ -113,6 +115,13 @@ def test_materials_of_known_names_have_their_acoustics():
     assert (floor.name, floor.reflectivity, floor.material) == ("floor", sand.reflectivity, sand.name)
     assert (rov.name, set(rov.reflectivity), rov.specular) == ("rov", {0.5, sand.reflectivity}, 0.0)
     assert (frame.name, frame.material, frame.specular) == ("rov::frame", "steel", steel.specular)
+
+
+def test_names_without_acoustic_meaning_cost_no_hint(monkeypatch):
+    """Hints about the spelling took much of the time in which many bodies are loaded."""
+    monkeypatch.setattr("sonar_gl.scene.materials.nearest_names", lambda *_: pytest.fail("a hint is made"))
+    scene, _ = load(model_of("<geom size='1' material='grid'/>", "<asset><material name='grid'/></asset>"))
+    assert scene.bodies[0].material is None
 
 
 def test_a_geom_of_the_world_may_have_the_name_of_a_body():
@@ -220,9 +229,7 @@ def test_other_objects_are_refused():
 
 
 def test_what_deforms_is_left_out():
-    flex = """<flexcomp name="cloth" type="grid" dim="2" count="3 3 1" spacing=".1 .1 .1" radius=".01" mass="1">
-      <edge equality="true"/></flexcomp>"""
-    _, warned = load(model_of(f"<geom size='1'/>{flex}"))
+    _, warned = load(model_of(f"<geom size='1'/>{CLOTH}"))
     assert warned == ["flexes and skins of the MuJoCo model are left out (they deform)"]
 
 
@@ -291,6 +298,16 @@ def test_errors_of_files(tmp_path, text, message):
     path.write_text(text)
     found = error_message(path)
     assert found.startswith(f"{path}: ") and message in found and "\n" not in found
+
+
+def test_warnings_name_the_file(tmp_path):
+    path = tmp_path / "a.xml"
+    path.write_text(MODEL.format("", f"<geom size='1'/>{CLOTH}"))
+    with pytest.warns(UserWarning) as caught:
+        load_scene(path)
+    material, deforming = (str(one.message) for one in caught)
+    assert material.startswith(f"{path}: no material of a known name in 1 of 1 bodies (geom_0); ")
+    assert deforming == f"{path}: flexes and skins of the MuJoCo model are left out (they deform)"
 
 
 def test_sdf_and_urdf_may_be_named_xml(tmp_path):

@@ -72,6 +72,19 @@ def test_origins_may_hold_quaternions(tmp_path, element):
     np.testing.assert_allclose(boxes_of(scene)["elbow"], expected, atol=ROUNDING)
 
 
+def test_the_hint_about_large_angles_is_one_that_urdf_can_follow(tmp_path):
+    """Its `<origin>` has no degrees; a `<pose>` of a sensor, which is SDF in a URDF file, has them."""
+    text = f"""<robot name="r"><link name="a"><collision name="c"><origin rpy="0 0 90"/>{BOX}</collision></link>
+      <link name="b"/><gazebo reference="b"><sensor name="sonar" type="custom"><pose>0 0 0 0 0 45</pose></sensor>
+      </gazebo></robot>"""
+    path = write(tmp_path / "r.urdf", text)
+    said = "1 pose has angles of more than 2.5π, read as radians, as by Gazebo; if they are degrees, "
+    assert [one for one in load(path)[1] if "2.5π" in one] == [
+        f'{path}: {said}write <pose degrees="true"> (link[b]/sensor[sonar]/pose)',
+        f"{path}: {said}multiply them by π/180, as URDF has no degrees (link[a]/collision[c]/pose)",
+    ]
+
+
 def test_collisions_are_taken_before_visuals_and_surfaces_from_gazebo_blocks(tmp_path):
     text = f"""<robot name="r">
       <link name="a"><visual><geometry><sphere radius="9"/></geometry></visual><collision>{BOX}</collision></link>

@@ -5,6 +5,43 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 LIFT_M = 1e-4  # rays start this far off a surface, so as not to hit it again
+NO_BODY, SURFACE = -2, -1  # in the place of a body's number
+
+
+class RayCaster:
+    """Casts rays at the bodies of a scene and the water's surface, in the sonar's frame.
+
+    Parameters
+    ----------
+    pose : (4, 4) world_from_sonar
+    surface : unit normal and offset of the surface, normal . x = offset, in the sonar's frame; None for none
+    """
+
+    def __init__(self, scene, pose, surface):
+        self.surface, self._embree, self._keep = surface, EmbreeScene(robust=True), []
+        sonar_from_world = np.linalg.inv(pose)
+        for body in scene.bodies:
+            m = sonar_from_world @ body.pose
+            vertices = np.asarray(body.surface.vertices) @ m[:3, :3].T + m[:3, 3]
+            corners = vertices[np.asarray(body.surface.faces)].astype(np.float32)
+            self._keep.append(TriangleMesh(self._embree, corners))
+
+    def hits(self, origins, directions):
+        """Return distance (inf for none), unit normal towards the ray, body and its face; see SURFACE and NO_BODY."""
+        found = self._embree.run(origins.astype(np.float32), directions.astype(np.float32), output=True)
+        body = np.where(found["geomID"].astype(int) >= 0, found["geomID"].astype(int), NO_BODY)
+        distance = np.where(body >= 0, found["tfar"].astype(float), np.inf)
+        normal = found["Ng"].astype(float)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
+        if self.surface is not None:
+            up, offset = self.surface
+            with np.errstate(divide="ignore", invalid="ignore"):
+                there = (offset - origins @ up) / (directions @ up)
+            first = (there > 1e-6) & (there < distance)
+            distance, body = np.where(first, there, distance), np.where(first, SURFACE, body)
+            normal[first] = up
+        normal *= -np.sign((normal * directions).sum(axis=1))[:, None]
+        return distance, normal, body, np.where(body >= 0, found["primID"].astype(int), 0)
 
 
 class TwoBounces:
@@ -20,39 +57,11 @@ class TwoBounces:
 
     def __init__(self, scene, sonar, pose, reflectors, reflection=1.0, multipath="incoherent", pattern=None):
         self.sonar, self.pattern = sonar, pattern or np.ones_like
-        self.embree, self.keep = EmbreeScene(robust=True), []
         self.mu = np.array([float(body.reflectivity) for body in scene.bodies])
         self.is_reflector = np.array([body.name in reflectors for body in scene.bodies])
         self.reflection, self.single_bounce_gain = reflection, 2.0 if multipath == "coherent" else 1.0
-        sonar_from_world = np.linalg.inv(pose)
-        for body in scene.bodies:
-            m = sonar_from_world @ body.pose
-            vertices = np.asarray(body.mesh.vertices) @ m[:3, :3].T + m[:3, 3]
-            self.keep.append(TriangleMesh(self.embree, vertices[body.mesh.faces].astype(np.float32)))
-        self.surface = None
-        if scene.surface_z_m is not None:  # normal . x = offset, in the sonar's frame
-            self.surface = pose[2, :3], scene.surface_z_m - pose[2, 3]
-
-    def _hits(self, origins, directions):
-        """Return distance (inf for none), unit normal towards the ray, and body; -1 is the water's surface."""
-        found = self.embree.run(origins.astype(np.float32), directions.astype(np.float32), output=True)
-        body = found["geomID"].astype(int)
-        distance = np.where(body >= 0, found["tfar"].astype(float), np.inf)
-        normal = found["Ng"].astype(float)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
-        if self.surface is not None:
-            up, offset = self.surface
-            climb = directions @ up
-            with np.errstate(divide="ignore", invalid="ignore"):
-                there = (offset - origins @ up) / climb
-            first = (there > 1e-6) & (there < distance)
-            distance, body = np.where(first, there, distance), np.where(first, -1, body)
-            body = np.where(~first & (found["geomID"].astype(int) < 0), -2, body)
-            normal[first] = up
-        else:
-            body = np.where(body < 0, -2, body)
-        normal *= -np.sign((normal * directions).sum(axis=1))[:, None]
-        return distance, normal, body
+        self.surface = None if scene.surface_z_m is None else (pose[2, :3], scene.surface_z_m - pose[2, 3])
+        self.hits = RayCaster(scene, pose, self.surface).hits
 
     def ping(self, n_rays: int, seed: int = 0):
         """Return the multipath part of a ping, (B, K), for G = 1, from jittered rays over the fan."""
@@ -65,12 +74,12 @@ class TwoBounces:
         sine = top * (2 * (j + random.random(i.shape)) / up - 1).ravel()
         cosine = np.sqrt(1 - sine**2)
         rays = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), sine], axis=1)
-        to_reflector, normal, body = self._hits(np.zeros_like(rays), rays)
-        reflects = (body == -1) | ((body >= 0) & np.append(self.is_reflector, False)[body])
+        to_reflector, normal, body, _ = self.hits(np.zeros_like(rays), rays)
+        reflects = (body == SURFACE) | ((body >= 0) & np.append(self.is_reflector, False)[body])
         rays, azimuth, to_reflector, normal = (x[reflects] for x in (rays, azimuth, to_reflector, normal))
         turned = rays - 2 * (rays * normal).sum(axis=1)[:, None] * normal
         start = rays * to_reflector[:, None]
-        beyond, face, met = self._hits(start + LIFT_M * normal, turned)
+        beyond, face, met, _ = self.hits(start + LIFT_M * normal, turned)
         ok = met >= 0
         rays, azimuth, to_reflector, start, turned, beyond, face, met = (
             x[ok] for x in (rays, azimuth, to_reflector, start, turned, beyond, face, met)
@@ -85,7 +94,7 @@ class TwoBounces:
         straight = np.linalg.norm(place, axis=1)
         back = -place / straight[:, None]
         other = (back * face).sum(axis=1)
-        distance, _, body = self._hits(place + LIFT_M * face, back)
+        distance, _, body, _ = self.hits(place + LIFT_M * face, back)
         there = np.arctan2(place[:, 1], place[:, 0])
         visible = (other > 0) & (distance > straight - 2 * LIFT_M)
         visible &= (np.abs(place[:, 2] / straight) < top) & (np.abs(there) < half)

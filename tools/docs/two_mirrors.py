@@ -7,12 +7,11 @@ from itertools import product
 import numpy as np
 
 from sonar_gl.scene.reflectors import N_SINES, planar_reflectors
+from tests.support.two_bounces import LIFT_M, SURFACE, RayCaster
 
-LIFT_M = 1e-4  # rays start this far off a surface, so as not to hit it again
 ON_PLANE_M = 2e-3  # from a reflector's plane, its own surface
 MAX_SINE = np.sin(np.radians(80.0))  # of elevations: far into the side lobes
 LEAST_REFLECTION = 0.01  # of the intensity at 45 degrees: reflectors that are left out return less
-NO_BODY, SURFACE = -2, -1
 
 
 class Mirrors:
@@ -26,21 +25,13 @@ class Mirrors:
     """
 
     def __init__(self, scene, sonar, acoustics):
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         pose = sonar.head_pose(scene.sonar_pose)
         self.sonar, self.pattern = sonar, acoustics.two_way_elevation_pattern(sonar)
-        self.embree, self.keep, mu = EmbreeScene(robust=True), [], []
-        self.first_face = [0]
-        for body in scene.bodies:
-            m = np.linalg.inv(pose) @ body.pose
-            faces = np.asarray(body.surface.faces)
-            vertices = np.asarray(body.surface.vertices) @ m[:3, :3].T + m[:3, 3]
-            self.keep.append(TriangleMesh(self.embree, vertices[faces].astype(np.float32)))
-            mu.append(np.broadcast_to(body.reflectivity, len(faces)))
-            self.first_face.append(self.first_face[-1] + len(faces))
-        self.mu, self.first_face = np.concatenate(mu), np.array(self.first_face)
+        n_faces = [len(body.surface.faces) for body in scene.bodies]
+        self.first_face = np.cumsum([0, *n_faces])
+        self.mu = np.concatenate(
+            [np.broadcast_to(body.reflectivity, n) for body, n in zip(scene.bodies, n_faces, strict=True)]
+        )
         k = 2 * np.pi * sonar.frequency_hz / acoustics.water.sound_speed()
         reflectors = planar_reflectors(scene, k, acoustics.water.wave_height_m())
         poses = np.stack([body.pose for body in scene.bodies])
@@ -54,23 +45,13 @@ class Mirrors:
             self.planes.append((normal @ pose[:3, :3], offset - normal @ pose[:3, 3]))
             self.bodies.append(SURFACE if one.body is None else one.body)
             self.tables.append(one.reflection_coefficient)
+        surface = self.planes[self.bodies.index(SURFACE)] if SURFACE in self.bodies else None
+        self.caster = RayCaster(scene, pose, surface)
 
     def hits(self, origins, directions):
         """Return distance (inf for none), normal towards the ray, body and face of the first thing on each ray."""
-        found = self.embree.run(origins.astype(np.float32), directions.astype(np.float32), output=True)
-        body = np.where(found["geomID"].astype(int) >= 0, found["geomID"].astype(int), NO_BODY)
-        distance = np.where(body >= 0, found["tfar"].astype(float), np.inf)
-        normal = found["Ng"].astype(float)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
-        for (up, offset), reflector in zip(self.planes, self.bodies, strict=True):
-            if reflector == SURFACE:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    there = (offset - origins @ up) / (directions @ up)
-                first = (there > 1e-6) & (there < distance)
-                distance, body = np.where(first, there, distance), np.where(first, SURFACE, body)
-                normal[first] = up
-        normal *= -np.sign((normal * directions).sum(axis=1))[:, None]
-        face = self.first_face[np.maximum(body, 0)] + np.where(body >= 0, found["primID"].astype(int), 0)
+        distance, normal, body, face = self.caster.hits(origins, directions)
+        face += self.first_face[np.maximum(body, 0)]
         return distance, normal, body, np.minimum(face, len(self.mu) - 1)
 
     def is_on(self, reflector: int, body, place):

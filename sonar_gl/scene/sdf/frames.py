@@ -12,6 +12,7 @@ from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.poses import pose, rotation_rows
 
 USUAL_ANGLE_RAD = 2.5 * np.pi  # more is nearly always degrees; a little over a turn occurs
+OF_ORIGIN = "of_origin"  # attribute of a `<pose>` that stands for an `<origin>` of URDF
 
 
 def read_numbers(element, location: str, count: int, positive: bool = False) -> np.ndarray:
@@ -38,7 +39,7 @@ def read_numbers(element, location: str, count: int, positive: bool = False) -> 
 def read_pose(element, location: str, large_angles: dict | None = None) -> np.ndarray:
     """Return the (4, 4) matrix of a `<pose>` element; the identity if it is None or empty.
 
-    The location is added to the keys of `large_angles` if its radians were probably meant as degrees.
+    The location is added to `large_angles` if its radians were probably meant as degrees.
     """
     if element is None or not (element.text or "").strip():
         return np.eye(4)
@@ -59,7 +60,7 @@ def read_pose(element, location: str, large_angles: dict | None = None) -> np.nd
     if element.get("degrees", "false").strip() in ("true", "1"):
         return pose(*values[:3], *np.radians(np.fmod(values[3:], 360.0)))
     if np.abs(values[3:]).max() > USUAL_ANGLE_RAD and large_angles is not None:
-        large_angles[location] = None
+        large_angles[location] = OF_ORIGIN in element.attrib
     return pose(*values[:3], *np.fmod(values[3:], 2 * np.pi))
 
 
@@ -97,7 +98,8 @@ class Scope:
     frames : name -> Frame
     links : name -> `<link>` element
     merged : name of the frame -> Scope, of each model whose names count as names in this scope, too
-    large_angles : locations of poses whose radians were probably meant as degrees, of this and all inner scopes
+    large_angles : location of a pose whose radians were probably meant as degrees -> whether it is an `<origin>` of
+        URDF; of this and all inner scopes
     """
 
     location: str

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -182,13 +182,17 @@ def _warn_of_shapes(path: Path, reader: BodyReader, misplaced: list[str], n_bodi
         )
 
 
-def _warn_of_angles(path: Path, places: Collection[str]) -> None:
+def _warn_of_angles(path: Path, large_angles: dict[str, bool]) -> None:
     """Warn of poses whose radians were probably meant as degrees."""
-    if places:
-        warn_caller(
-            f"{path}: {len(places)} pose{'s have' if len(places) > 1 else ' has'} angles of more than 2.5π, read as "
-            f'radians, as by Gazebo; if they are degrees, write <pose degrees="true"> ({_places(places, path)})'
-        )
+    for of_origin, cure in (
+        (False, 'write <pose degrees="true">'),
+        (True, "multiply them by π/180, as URDF has no degrees"),
+    ):
+        if places := [place for place, is_one in large_angles.items() if is_one == of_origin]:
+            warn_caller(
+                f"{path}: {len(places)} pose{'s have' if len(places) > 1 else ' has'} angles of more than 2.5π, read "
+                f"as radians, as by Gazebo; if they are degrees, {cure} ({_places(places, path)})"
+            )
 
 
 def _places(texts: Iterable[str], path: Path) -> str:

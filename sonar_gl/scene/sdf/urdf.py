@@ -6,7 +6,7 @@ from copy import deepcopy
 
 from sonar_gl.core.errors import Error
 from sonar_gl.scene.sdf.extensions import list_extensions
-from sonar_gl.scene.sdf.frames import read_numbers
+from sonar_gl.scene.sdf.frames import OF_ORIGIN, read_numbers
 
 XACRO = "{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}"  # namespace of macros
 SIZES = {  # geometry: attributes that it must have; each is an element of this name in SDF
@@ -114,7 +114,7 @@ def _add_pose(converted, element, location: str, **attributes: str) -> None:
         if origin.get("rpy"):
             raise Error(f"{location}/origin: must have rpy or quat_xyzw (got both)")
         rotation, attributes["rotation_format"] = origin["quat_xyzw"], "quat_xyzw"
-    _add(converted, "pose", f"{xyz} {rotation}", **attributes)
+    _add(converted, "pose", f"{xyz} {rotation}", **attributes, **{OF_ORIGIN: "true"})
 
 
 def _add_shape(link, shape, location: str) -> None:
