@@ -13,8 +13,8 @@ OWN_GROUPS, GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 def count_cores() -> int:
     """Return how many cores this process may use: those that it may run on, no more than its share of time fills.
 
-    Containers have all cores of their machine, and a share of time that Python does not know (`docker run --cpus 2`, a
-    limit of Kubernetes).
+    Containers have all cores of their machine, and a share of time that Python does not know, as Docker and Kubernetes
+    limit it.
     """
     has_affinity = hasattr(os, "sched_getaffinity")
     n_cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
@@ -55,6 +55,6 @@ def _share_of_time(limit: str) -> float:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text()
+        return path.read_text(encoding="utf-8")
     except (OSError, UnicodeError):
         return ""
