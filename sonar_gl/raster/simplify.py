@@ -102,8 +102,8 @@ def _flips(points, faces, start, about, remap, a, b):
 def _pinches(faces, start, about, remap, a, b):
     """Return whether moving vertex `a` onto `b` makes one edge of two, at which more faces then meet.
 
-    The two edges lead from `a` and from `b` to one vertex, and no face has both: the link condition of Dey, Edelsbrunner,
-    Guha and Nekhayev, "Topology preserving edge contraction", 1999.
+    The two edges lead from `a` and from `b` to one vertex, and no face has both: the link condition of Dey,
+    Edelsbrunner, Guha and Nekhayev, "Topology preserving edge contraction", 1999.
     """
     for n in range(start[a], start[a + 1]):
         i, j, k = remap[faces[about[n], 0]], remap[faces[about[n], 1]], remap[faces[about[n], 2]]
