@@ -103,7 +103,8 @@ def test_what_is_broken_is_told(read):
     nodes = [f'<node><instance_geometry url="#{name}"/></node>' for name in "gh"]
     found, said = read(libraries + "</library_geometries>", *nodes)
     assert len(found) == 1
-    assert said == ["read without what is broken in it (Corrupted float array)"]
+    (message,) = said  # in brackets stand words of NumPy before 2, else of pycollada
+    assert message.startswith("read without what is broken in it (") and message.endswith(")")
 
 
 def test_nodes_that_multiply_one_another_are_refused_before_they_are_placed(read):
