@@ -269,7 +269,9 @@ def _sectors_of(
     if are_cones:  # as dense as in sectors that hold the columns at the horizon
         samples = max(math.ceil(samples * half / half_width_rad - 1e-9), 2)
     middles = (first + half * (2 * k + 1) for k in range(n))
-    return [make_sector(middle, half, samples, rows, limits, shear, are_cones) for middle in middles]
+    return [
+        make_sector(middle, half, samples, rows, limits, shear, are_cones=are_cones) for middle in middles
+    ]
 
 
 def _column_edges(

@@ -10,7 +10,7 @@ from sonar_gl.cli import doctor, driver_report, system_checks
 from sonar_gl.cli import main as cli
 from sonar_gl.cli.doctor import Finding
 from sonar_gl.gl import context as gl
-from sonar_gl.raster.opengl import engine
+from sonar_gl.raster.opengl import buffers
 from tests.support.noisy_shaders import noisy_shaders
 
 
@@ -76,7 +76,7 @@ def test_the_noise_of_a_driver_is_measured(units, monkeypatch, tmp_path, opengl_
     )  # on a card slopes come from the corners of triangles, without noise
     own = driver_report.sample_noise()
     folder = noisy_shaders(tmp_path, units)
-    monkeypatch.setattr(engine, "data_folder", lambda _: folder)
+    monkeypatch.setattr(buffers, "data_folder", lambda _: folder)
     noise = driver_report.sample_noise()
     assert 0.95 * units - own.depth < noise.depth < units + own.depth + 1
     assert 1.6 * units - own.slopes < noise.slopes < 3 * units + own.slopes + 1

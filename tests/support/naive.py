@@ -15,8 +15,7 @@ import numpy as np
 import sonar_gl as sg
 from sonar_gl.raster import scene_meshes
 from sonar_gl.raster.cpu import engine as cpu
-from sonar_gl.raster.opengl import engine as opengl
-from sonar_gl.raster.opengl import renderer
+from sonar_gl.raster.opengl import buffers, renderer
 from sonar_gl.scene import load
 from sonar_gl.sonar import fan, sector
 
@@ -63,7 +62,7 @@ def projection_depth():
             if path.suffix in (".vert", ".geom", ".frag", ".glsl"):
                 text = path.read_text(encoding="utf-8").replace("gl_FragDepth =", "float unused =")
                 (Path(folder) / path.name).write_text(text, encoding="utf-8")
-        shaders = mock.patch.object(opengl, "data_folder", lambda _: Path(folder))
+        shaders = mock.patch.object(buffers, "data_folder", lambda _: Path(folder))
         with shaders, mock.patch.dict(os.environ, SONAR_GL_ENGINE="opengl"):
             yield
 
