@@ -43,8 +43,6 @@ MAX_SECTOR_RAD = math.radians(60.0)
 # A column takes the mean of a smooth beam pattern over its width. It is as wide as a sample, but at most half a beam
 # spacing, and at least the half-width of the pattern's support (about four beam widths) over this number.
 COLUMNS_PER_SUPPORT = 128
-# The −3 dB width of a beam holds at least so many columns: the range of a slanted wall changes across one.
-COLUMNS_PER_BEAM_WIDTH = 8
 # A column is weighed by the mean of the transmit beam over it, whatever its echo is at either end. Columns of boxes are
 # as wide as a beam, but there are at least so many in the −3 dB width of the transmit beam.
 COLUMNS_PER_TRANSMIT_BEAM = 16
@@ -71,12 +69,10 @@ class ColumnWidths(NamedTuple):
     ----------
     max_width : of a column, in beam spacings; without effect on boxes
     wide_per_support : the half-width of the beams' support holds at least so many wide columns, about
-    per_beam_width : the −3 dB width of a receive beam holds at least so many columns; without effect on boxes
     """
 
     max_width: float = 0.5
     wide_per_support: float = WIDE_COLUMNS_PER_SUPPORT
-    per_beam_width: float = COLUMNS_PER_BEAM_WIDTH
 
 
 USUAL_WIDTHS = ColumnWidths()
@@ -206,8 +202,9 @@ def make_fan(
             ends = (ends + math.pi) % (2 * math.pi) - math.pi
     else:
         spacing = np.diff(azimuths).min(initial=span)
-        widest = min(widths.max_width * spacing, math.radians(sonar.beam_width_deg) / widths.per_beam_width)
-        width = max(min(span / n_samples, widest), beams.support_rad / COLUMNS_PER_SUPPORT)
+        width = max(
+            min(span / n_samples, widths.max_width * spacing), beams.support_rad / COLUMNS_PER_SUPPORT
+        )
         ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
     edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams]), start, stop))
