@@ -48,6 +48,7 @@ COARSER = 2  # times fewer samples: with 3 or 4 both lattices miss some rods bef
 ERROR_FACTOR = 1.86  # of the error that the difference shows
 DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's own echo
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
+UNEVEN_FACTOR = 1.5  # of the standard deviation of an echo whose faces return unlike shares
 # With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
 MAX_COMPARED_SAMPLES = 300
 MAX_STEPS = 8  # at a time: estimates from very few samples are rough
@@ -196,9 +197,12 @@ class ErrorModel:
     def tried(self, stage: Stage, view: ViewSamples, echo: BeamEcho) -> TriedView:
         """Return a view that was drawn and summed already, with what was met of each body."""
         extents = self._current_extents()
-        samples, echoes = count_bodies(view.sectors, len(self.bodies), self._reception(stage))
-        # most of the echo of a round smooth body is that of few samples, and none of it may have met the glint
-        counts = BodyCounts(samples * extents.glint_shares, echoes)
+        found = count_bodies(view.sectors, len(self.bodies), self._reception(stage))
+        # Most of the echo of a round smooth body is that of few samples, and none of it may have met the glint. Other
+        # bodies of one reflectivity err along their outlines, which the number of samples tells of.
+        counts = BodyCounts(
+            found.samples * extents.glint_shares, found.echo, found.unevenness * extents.by_face
+        )
         return TriedView(stage, view, echo, counts)
 
     def judge(
@@ -244,12 +248,14 @@ class ErrorModel:
 
         By the samples that met it, and by how the two lattices differ.
         """
-        hits, echo = tried.counts
+        hits, echo, unevenness = tried.counts
         counts = self._counting_bodies(setup, tried)
         factor = DIFFERENCE_FACTOR * _share_of_difference(coarser, BODY_ERROR_RATE)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
         apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)
-        errors = np.maximum(body_error(np.maximum(hits, 1.0)), np.minimum(apart, 1.0)) * counts
+        uneven = UNEVEN_FACTOR * unevenness / np.maximum(echo, 1e-30)
+        shown = np.minimum(np.maximum(apart, uneven), 1.0)
+        errors = np.maximum(body_error(np.maximum(hits, 1.0)), shown) * counts
         if not counts.any():
             return ErrorEstimate(0.0, -math.inf)
         worst = int(errors.argmax())
@@ -263,7 +269,7 @@ class ErrorModel:
         is hidden.
         """
         bodies, state, pose = self.bodies, setup.state, setup.head_pose
-        sectors, (hits, echo) = tried.view.sectors, tried.counts
+        sectors, (hits, echo, _) = tried.view.sectors, tried.counts
         total, reception = echo.sum(), self._reception(tried.stage)
         counts = echo > MIN_ECHO_SHARE * total
         could_count = self._extents.greatest_echo(state, pose, reception) > MIN_ECHO_SHARE * total

@@ -307,8 +307,22 @@ class ImageSources:
             counted += [(stage, views[number], gains[number]) for number in numbers]
         counts = self._count_bodies(counted)
         direct = [coarser.direct] if coarser is not None else counts[len(found) :]
+<<<<<<< HEAD
         for number, own_view, of_direct in zip(numbers, own_views, direct, strict=True):
             mine = [k for k, one in enumerate(found) if one.number == number]
+=======
+        of_images = counts[: len(found)]
+        for (number, about), image_view, of_image in zip(found, image_views, of_images, strict=True):
+            imaged[number].append(of_image._replace(samples=of_image.samples * times_fewer))
+            views_of_both = (
+                own_of[number],
+                [every_row(one, step) for one in image_view.sectors],
+                indices[number],
+                kernels.view_index(image_view),
+            )
+            sources[number].append(ImageSource(*about, *views_of_both))
+        for number, of_direct in zip(numbers, direct, strict=True):
+>>>>>>> h/promise
             out[number] = ImageSourceSamples(
                 halvings=self.halvings,
                 direct=of_direct,
@@ -345,8 +359,8 @@ class ImageSources:
             reception = reception_of(stage.beamformer, self._reach_rad, gain)
             step = max(1, sum(one.plane_echo[..., 0].size for one in view.sectors) // COUNTED)
             sectors = [every_row(one, step) for one in view.sectors]
-            samples, echo = count_bodies(sectors, len(self._scene.bodies), reception)
-            return BodyCounts(samples * step, echo)  # rows of a step are as many times as high
+            found = count_bodies(sectors, len(self._scene.bodies), reception)
+            return found._replace(samples=found.samples * step)  # rows of a step are as many times as high
 
         counts: list = [None] * len(views)
         halves = run_halves(self._thread, lambda half: [count(*one) for one in views[half::2]])

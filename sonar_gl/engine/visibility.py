@@ -77,14 +77,19 @@ class BodyCounts(NamedTuple):
 
     samples : how many met it, inside the fan, its aperture and range, and in some beam
     echo : about the sum of its echo with the gain
+    unevenness : how uncertain that sum is because neighbouring samples of the body return unlike echoes: its standard
+        deviation, were they met at random
     """
 
     samples: np.ndarray
     echo: np.ndarray
+    unevenness: np.ndarray
 
 
 @compiled
-def _count_samples(samples, lattice, sines, widest, received_u, bins, gain, elevation_table, counts, echo):
+def _count_samples(
+    samples, lattice, sines, widest, received_u, bins, gain, elevation_table, counts, echo, unlike
+):
     """Add the samples of one sector to (bodies + 1,) counts and sums of μ cos θ ΔΩ G.
 
     samples : (plane_echo, body_id) of `SectorSamples`, in `whole_rows`; lattice : of `SectorSamples`
@@ -93,6 +98,7 @@ def _count_samples(samples, lattice, sines, widest, received_u, bins, gain, elev
     received_u : of `Beamformer`
     bins : (2,) start of the first bin, metres, and bins per metre
     elevation_table : of `Beamformer`, taken at the nearest sine
+    unlike : (2, bodies + 1), filled with the squared differences of neighbours on one body, along rows and across
     """
     plane_echo, body_id = samples
     (u, v, tan_low, tan_high, columns, sine, cosine), (r_first, per_metre) = lattice, bins
@@ -100,8 +106,13 @@ def _count_samples(samples, lattice, sines, widest, received_u, bins, gain, elev
     K = gain.shape[0]
     area = u[1] * v[2] - u[2] * v[1]
     low2, high2 = tan_low * abs(tan_low), tan_high * abs(tan_high)
+    # of the row before; of bodies 0, which none has, where no sample counts
+    above, body_above = np.zeros(columns), np.zeros(columns, np.uint16)
     for j in range(plane_echo.shape[0]):
+        beside, body_beside = 0.0, 0
         for i in range(columns):
+            body_over, over = body_above[i], above[i]
+            body_left, body_beside, body_above[i] = body_beside, 0, 0
             q = plane_echo[j, i, 0]
             if q <= 0.0 or plane_echo[j, i, 3] <= 0.0:
                 continue
@@ -118,22 +129,28 @@ def _count_samples(samples, lattice, sines, widest, received_u, bins, gain, elev
             if 0.0 <= k < K:
                 place = int(per_sine + vc / L * per_sine + 0.5)
                 pattern = elevation_table[place] if elevation_table.shape[0] else 1.0
-                counts[body_id[j, i]] += 1.0
-                echo[body_id[j, i]] += (
-                    plane_echo[j, i, 3] * q * area / (L * L * L * L) * gain[int(k)] * pattern
-                )
+                body = body_id[j, i]
+                returned = plane_echo[j, i, 3] * q * area / (L * L * L * L) * gain[int(k)] * pattern
+                counts[body] += 1.0
+                echo[body] += returned
+                if body == body_left:
+                    unlike[0, body] += (returned - beside) ** 2
+                if body == body_over:
+                    unlike[1, body] += (returned - over) ** 2
+                beside, body_beside, above[i], body_above[i] = returned, body, returned, body
 
 
 def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Reception) -> BodyCounts:
     """Count the samples on each body, and about the echo of each."""
-    counts, echo = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1)
+    counts, echo, unlike = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1), np.zeros((2, n_bodies + 1))
     bins = reception.sonar.range_min_m, 1.0 / reception.sonar.bin_size_m
     gains = reception.gain, reception.elevation_table
     for one, received in zip(samples, reception.received_u, strict=True):
         arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
         limits = one.sector.strips.sines, math.tan(one.sector.half_width_rad), received
-        _count_samples(arrays, one.lattice, *limits, bins, *gains, counts, echo)
-    return BodyCounts(counts, echo)
+        _count_samples(arrays, one.lattice, *limits, bins, *gains, counts, echo, unlike)
+    # half the mean square of the differences of two is their variance; stripes show across them alone
+    return BodyCounts(counts, echo, np.sqrt(unlike.max(axis=0) / 2))
 
 
 def body_error(samples):
@@ -345,6 +362,7 @@ class _Extents(NamedTuple):
     areas_m2 : (n,), the greatest silhouette
     lobes : (n,), the specular lobe face on
     glint_shares : (n,), 1 of bodies without a lobe
+    by_face : (n,) bool, whether the reflectivity is one value a face
     own, per_unit : of `GreatestReflectivity`
     """
 
@@ -353,6 +371,7 @@ class _Extents(NamedTuple):
     areas_m2: np.ndarray
     lobes: np.ndarray
     glint_shares: np.ndarray
+    by_face: np.ndarray
     own: np.ndarray
     per_unit: np.ndarray
 
@@ -374,6 +393,7 @@ def _extents(bodies, specular: bool) -> _Extents:
         np.minimum(np.pi * radii_m**2, silhouettes),
         np.array(lobes),
         np.array(shares),
+        np.array([np.ndim(body.reflectivity) > 0 for body in bodies], bool),
         *GreatestReflectivity.of(bodies),
     )
 
@@ -399,6 +419,11 @@ class BodyExtents:
     def glint_shares(self) -> np.ndarray:
         """(bodies + 1,) by number; of bodies without a lobe 1."""
         return np.concatenate([[1.0], self._columns.glint_shares])
+
+    @property
+    def by_face(self) -> np.ndarray:
+        """(bodies + 1,) bool by number, whether the reflectivity is one value a face."""
+        return np.concatenate([[False], self._columns.by_face])
 
     def add(self, bodies) -> None:
         """Append bodies; those that are there are not measured again."""

@@ -845,6 +845,25 @@ class TestBodiesThatSamplesMiss:
         error, share = self.body_error([wall, ball], acoustics=sg.Acoustics("ideal", specular=True))
         assert share > 1e-3 and error < self.LIMIT
 
+    @pytest.mark.parametrize("seed", [3, 5])
+    def test_a_body_with_a_fine_texture_has_enough_samples(self, seed):
+        """A tenth of its faces return nearly all, each narrower than a sample: its outline alone does not tell."""
+        n = 24
+        y, z = np.meshgrid(*2 * [np.linspace(-0.3, 0.3, n + 1)], indexing="ij")
+        i = np.arange(y.size).reshape(y.shape)
+        a, b, c, d = (corner.ravel() for corner in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]))
+        faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+        mesh = trimesh.Trimesh(np.stack([0 * y, y, z], -1).reshape(-1, 3), faces, process=False)
+        bright = np.random.default_rng(seed).random(n * n) < 0.1
+        plate = sg.Body("plate", mesh, sg.pose(9, 0.7, 0.1), np.tile(np.where(bright, 0.9, 0.02), 2))
+        scene = sg.Scene([sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(18), "sand"), plate])
+        echoes = []
+        for settings in ({"tolerance": 0.05}, {"sampling": sg.Sampling(10, 500)}):
+            with sg.Simulator(scene, self.SONAR, IDEAL, **settings) as simulator:
+                echoes.append(simulator.ping(sg.pose(), labels=True).body_echo)
+        found, truth = echoes
+        assert truth[2] > 1e-3 * truth.sum() and abs(found[2] / truth[2] - 1) < self.LIMIT
+
     def test_a_body_that_becomes_bright_is_met(self):
         """Nothing moved, so that no ping was checked any more."""
         wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(15), "sand")
