@@ -307,28 +307,15 @@ class ImageSources:
             counted += [(stage, views[number], gains[number]) for number in numbers]
         counts = self._count_bodies(counted)
         direct = [coarser.direct] if coarser is not None else counts[len(found) :]
-<<<<<<< HEAD
         for number, own_view, of_direct in zip(numbers, own_views, direct, strict=True):
             mine = [k for k, one in enumerate(found) if one.number == number]
-=======
-        of_images = counts[: len(found)]
-        for (number, about), image_view, of_image in zip(found, image_views, of_images, strict=True):
-            imaged[number].append(of_image._replace(samples=of_image.samples * times_fewer))
-            views_of_both = (
-                own_of[number],
-                [every_row(one, step) for one in image_view.sectors],
-                indices[number],
-                kernels.view_index(image_view),
-            )
-            sources[number].append(ImageSource(*about, *views_of_both))
-        for number, of_direct in zip(numbers, direct, strict=True):
->>>>>>> h/promise
             out[number] = ImageSourceSamples(
                 halvings=self.halvings,
                 direct=of_direct,
                 imaged=BodyCounts(
                     samples=np.concatenate([counts[k].samples * times_fewer for k in mine]),
                     echo=np.concatenate([counts[k].echo for k in mine]),
+                    unevenness=np.concatenate([counts[k].unevenness for k in mine]),
                 ),
                 single_bounce=self._single_bounce,
                 own=own,
