@@ -33,6 +33,7 @@ SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's star
 # echo, four times where it is less than SHARES[1], and so on; not at all where it is more than the last.
 SHARES = 0.015, 0.04, 0.2, 0.5, 1.0
 WIDEST_COLUMN = 2.0  # in spacings of beams
+COLUMNS_PER_BEAM_WIDTH = 0.5
 # The half-width of the beams' support holds so many wide columns for the sonar's own samples: beams become half as wide
 # again for these. What goes straight to or from the skirts returns a hundredth of multipath, where it goes by way of
 # the reflector, or there both ways, as much as other directions.
@@ -192,7 +193,7 @@ class ImageSources:
         self._thread = thread
         self._reach_rad = acoustics.receive_support_rad(sonar)
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
-        widths, pools = ColumnWidths(WIDEST_COLUMN), stages.pools
+        widths, pools = ColumnWidths(WIDEST_COLUMN, per_beam_width=COLUMNS_PER_BEAM_WIDTH), stages.pools
         own_widths = widths._replace(wide_per_support=OWN_WIDE_COLUMNS)
         self._own_stages = StageCache(engine, sonar, acoustics, thread, own_widths, pools)
         if sonar.beam_azimuths_deg is not None:

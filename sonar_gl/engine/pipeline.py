@@ -42,7 +42,11 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 
 def sample(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping, again until its samples keep the tolerance. Inside `drawing`."""
-    setup = run.with_later_bodies(setup)
+    with run.plan_of_images(is_kept=not setup.request.alone):
+        return _sample_until_kept(run, run.with_later_bodies(setup))
+
+
+def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
     if run.sampler.is_apart(setup):
         chosen = choose_samples(run.sampler.choose, setup)
         run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.number + 1)

@@ -209,6 +209,19 @@ class Run:
             return None
         return images.first_choice if self._is_independent(is_apart) else images.choice
 
+    @contextmanager
+    def plan_of_images(self, is_kept: bool):
+        """Have image sources sampled as was planned, or, for the time of the block, as if nothing had been planned."""
+        images = self.image_sources
+        planned = None if is_kept or images is None or not images.choice.is_fixed else images.choice
+        if planned is not None:
+            images.release()
+        try:
+            yield
+        finally:
+            if planned is not None:
+                images.choice = planned
+
     def _reset_images(self, is_apart: bool = False) -> None:
         if self.image_sources is not None and self._is_independent(is_apart):
             self.image_sources.reset()

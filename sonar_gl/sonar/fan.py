@@ -43,6 +43,8 @@ MAX_SECTOR_RAD = math.radians(60.0)
 # A column takes the mean of a smooth beam pattern over its width. It is as wide as a sample, but at most half a beam
 # spacing, and at least the half-width of the pattern's support (about four beam widths) over this number.
 COLUMNS_PER_SUPPORT = 128
+# The −3 dB width of a beam holds at least so many columns: the range of a slanted wall changes across one.
+COLUMNS_PER_BEAM_WIDTH = 8
 # A column is weighed by the mean of the transmit beam over it, whatever its echo is at either end. Columns of boxes are
 # as wide as a beam, but there are at least so many in the −3 dB width of the transmit beam.
 COLUMNS_PER_TRANSMIT_BEAM = 16
@@ -69,10 +71,12 @@ class ColumnWidths(NamedTuple):
     ----------
     max_width : of a column, in beam spacings; without effect on boxes
     wide_per_support : the half-width of the beams' support holds at least so many wide columns, about
+    per_beam_width : the −3 dB width of a receive beam holds at least so many columns; without effect on boxes
     """
 
     max_width: float = 0.5
     wide_per_support: float = WIDE_COLUMNS_PER_SUPPORT
+    per_beam_width: float = COLUMNS_PER_BEAM_WIDTH
 
 
 USUAL_WIDTHS = ColumnWidths()
@@ -183,7 +187,7 @@ def make_fan(
     sectors = [*dense, *chain.from_iterable(others)]
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
     sample_rad = span / n_samples
-    edges = _column_edges(sonar.azimuth_rad, (start, stop), seams, sample_rad, beams, widths)
+    edges = _column_edges(sonar, (start, stop), seams, sample_rad, beams, widths)
     wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
     if len(bands) > 1 and not beams.is_box:
         # The lattice that a ping is compared with has wider ones, so that the difference holds their error.
@@ -275,7 +279,7 @@ def _sectors_of(
 
 
 def _column_edges(
-    axes_rad: np.ndarray,
+    sonar: Sonar,
     ends_rad: tuple[float, float],
     seams_rad: np.ndarray,
     sample_rad: float,
@@ -286,11 +290,11 @@ def _column_edges(
 
     Parameters
     ----------
-    axes_rad : of the beams
     ends_rad : of all columns
     seams_rad : ends of the sectors
     sample_rad : width of a sample, about
     """
+    axes_rad = sonar.azimuth_rad
     start, stop = ends_rad
     span = stop - start
     if beams.is_box:
@@ -299,7 +303,8 @@ def _column_edges(
             ends = (ends + math.pi) % (2 * math.pi) - math.pi
     else:
         spacing = np.diff(axes_rad).min(initial=span)
-        width = max(min(sample_rad, widths.max_width * spacing), beams.support_rad / COLUMNS_PER_SUPPORT)
+        widest = min(widths.max_width * spacing, math.radians(sonar.beam_width_deg) / widths.per_beam_width)
+        width = max(min(sample_rad, widest), beams.support_rad / COLUMNS_PER_SUPPORT)
         ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams_rad]), start, stop))
     if beams.is_box and math.isfinite(beams.transmit_width_rad):

@@ -787,6 +787,17 @@ def test_an_empty_scene_needs_no_samples():
     assert ping.error_estimate == 0.0
 
 
+def test_a_slanted_wall_before_beams_as_wide_as_their_spacing_keeps_the_tolerance():
+    """Columns half a beam wide spread its echo over ranges alike in both lattices, so that their difference hid it."""
+    sonar = sg.load_sonar("aris-3000")
+    wall = sg.Body("wall", trimesh.creation.box((0.2, 60, 40)), sg.pose(3.5, yaw=math.radians(60)), 0.4)
+    pings = []
+    for settings in ({"tolerance": 0.01}, {"sampling": sg.Sampling(8, 200)}):
+        with sg.Simulator(sg.Scene([wall]), sonar, **settings) as simulator:
+            pings.append(simulator.ping(sg.pose()))
+    assert ping_error(*pings) < 0.01
+
+
 @pytest.mark.filterwarnings("ignore:tolerance 0.002 cannot be met")  # of the truth
 class TestBodiesThatSamplesMiss:
     """Small bodies whose echo was lost as a whole, at an estimated error of a hundredth of the tolerance."""

@@ -199,7 +199,7 @@ def test_memory_is_given_back_after_a_ping_of_many_samples_and_not_while_pings_n
     given_back = []
     monkeypatch.setattr(StageCache, "drop_large", lambda _: given_back.append(len(n_samples)))
     wall, rods, n_samples = POSES[0], POSES[2], []
-    with sg.Simulator(SCENE, SONAR, tolerance=0.03) as simulator:
+    with sg.Simulator(SCENE, SONAR, tolerance=0.01) as simulator:
         for pose in (rods, rods, rods, wall, wall, rods):
             ping = make_ping(simulator.run, PingRequest(pose, alone=True))
             stage = simulator.run.stages.stage(sg.Sampling(**ping.meta["sampling"]))
