@@ -117,7 +117,7 @@ def test_box_beams_consist_of_complete_columns(name):
     [(1.0, 3.516, 3.516), (1.0, 1.0, 2), (0.5, 1.0, 45 / 16), (90.0, 4.0, 0.25)],
 )
 def test_columns_of_smooth_patterns(beam_width_deg, columns_per_beam, columns_per_spacing):
-    """Columns are as wide as a sample, but at most half a spacing and an eighth of a beam; wider for much wider beams."""
+    """Columns are as wide as a sample, at most half a spacing and an eighth of a beam; wider for much wider beams."""
     sonar = make_sonar(n_beams=256, beam_width_deg=beam_width_deg)
     support_rad = Acoustics.physical().receive_support_rad(sonar)
     fan = make_fan(sonar, sg.Sampling(columns_per_beam, 16), BeamShape(support_rad, is_box=False))
