@@ -122,15 +122,18 @@ def _count_samples(
                 continue
             if len(received_u) and np.searchsorted(received_u, uc) % 2 == 0:
                 continue  # between two beams
-            L = math.sqrt(1.0 + uc * uc + vc * vc)
-            if not sines[0] <= (sine - cosine * uc) / L <= sines[1]:
+            L2 = u2 + vc * vc
+            L = math.sqrt(L2)
+            if not sines[0] * L <= sine - cosine * uc <= sines[1] * L:
                 continue
-            k = (L / q - r_first) * per_metre
+            inverse = 1.0 / (L2 * q)  # one division for three
+            k = (L * L2 * inverse - r_first) * per_metre
             if 0.0 <= k < K:
-                place = int(per_sine + vc / L * per_sine + 0.5)
+                per_L2 = inverse * q
+                place = int(per_sine + vc * L * per_L2 * per_sine + 0.5)
                 pattern = elevation_table[place] if elevation_table.shape[0] else 1.0
                 body = body_id[j, i]
-                returned = plane_echo[j, i, 3] * q * area / (L * L * L * L) * gain[int(k)] * pattern
+                returned = plane_echo[j, i, 3] * q * area * per_L2 * per_L2 * gain[int(k)] * pattern
                 counts[body] += 1.0
                 echo[body] += returned
                 if body == body_left:
