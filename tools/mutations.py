@@ -466,8 +466,8 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/background",
-        "out[1 + self._indices[name]] = True",
-        "out[self._indices[name]] = True",
+        'out[1 + self._index_of(name, "background")] = True',
+        'out[self._index_of(name, "background")] = True',
         LABELS,
         (("out[1 + self.places] = True", "out[self.places] = True"),),
     ),
@@ -1339,7 +1339,7 @@ MUTATIONS = (
     # other formats of scenes
     Mutation(
         "urdf/a DVL is no imaging sonar",
-        "if any(word in names[0].lower() for word in OTHER_SONARS):",
+        'if any(word in f"{names[0]} {custom_kind}".lower() for word in OTHER_SONARS):',
         "if False:",
         ("test_urdf",),
     ),
