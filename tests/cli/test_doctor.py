@@ -260,7 +260,11 @@ def n_compiled_in_source() -> int:
     """Return the number of functions that the sources of the package mark for compilation."""
     home = Path(sonar_gl.__file__).parent
     return sum(
-        len(re.findall(r"^@(?:compiled|rounded_alike|uncounted)$", path.read_text(encoding="utf-8"), re.MULTILINE))
+        len(
+            re.findall(
+                r"^@(?:compiled|rounded_alike|uncounted)$", path.read_text(encoding="utf-8"), re.MULTILINE
+            )
+        )
         for path in home.rglob("*.py")
     )
 

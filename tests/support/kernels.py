@@ -45,7 +45,9 @@ def _state_of_files() -> dict:
     """Return what Numba looks kept machine code up by: states of the files of kernels, versions, and the folder."""
     found = {"python": sys.version, "numba": numba.__version__, "folder": str(numba.config.CACHE_DIR)}
     for path in sorted(PACKAGE.rglob("*.py")):
-        if re.search(r"^@(compiled|rounded_alike|uncounted)\b", path.read_text(encoding="utf-8"), re.MULTILINE):
+        if re.search(
+            r"^@(compiled|rounded_alike|uncounted)\b", path.read_text(encoding="utf-8"), re.MULTILINE
+        ):
             state = path.stat()
             found[str(path)] = [state.st_mtime_ns, state.st_size]
     return found
