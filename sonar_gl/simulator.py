@@ -136,7 +136,8 @@ class Simulator:
 
         Returns
         -------
-        Plan, or None if the samples were given to begin with
+        Plan, or None if the samples were given to begin with; those of image sources, which no sampling gives, are
+            chosen for these poses also then
         """
         per_ping = {
             "bodies": ("bodies", bodies),

@@ -34,7 +34,7 @@ HELP = {
     "device": "Index of the OpenGL device; `sonar-gl doctor` lists the devices.",
     "seed": "Seed of the noise.",
     "formats": "File format; may be repeated. gif and mp4 need --poses.",
-    "fps": "Frames per second of gif (100 at most) and mp4 (120).",
+    "fps": "Frames per second of gif (100 at most) and mp4 (120), whatever the times of the poses.",
     "labels": "Add labels to the NPZ: the body with the strongest echo in each bin, and its elevation.",
     "label_level": "Label bins of at least this mean echo, dB, whatever the noise; needs --labels.",
     "resource_path": "Folder to search for model:// and package:// URIs; may be repeated.",
