@@ -25,14 +25,10 @@ def describe_os_error(why: OSError, folder: Path) -> str:
     if isinstance(why, (NotADirectoryError, FileExistsError)) and at_fault:
         return f"{at_fault!r} is not a folder"
     link = next((p for p in (folder, *folder.parents) if p.is_symlink() and not p.exists()), None)
-    if (
-        isinstance(why, FileExistsError) and link is not None
-    ):  # else "file exists", of a name that leads nowhere
-        return (
-            LINK_LOOP
-            if is_link_loop(link)
-            else f"{str(link)!r} is a link to {os.readlink(link)!r}, which does not exist"
-        )
+    if isinstance(why, FileExistsError) and link is not None:  # the system says "file exists" of it
+        if is_link_loop(link):
+            return LINK_LOOP
+        return f"{str(link)!r} is a link to {os.readlink(link)!r}, which does not exist"
     return read_error_text(why)
 
 

@@ -214,9 +214,9 @@ class Run:
         """Have image sources sampled as was planned, or, for the time of the block, as if nothing had been planned."""
         images = self.image_sources
         planned = None if is_kept or images is None or not images.choice.is_fixed else images.choice
-        if planned is not None:
-            images.release()
         try:
+            if planned is not None:
+                images.release()
             yield
         finally:
             if planned is not None:

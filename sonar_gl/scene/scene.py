@@ -187,13 +187,17 @@ class Body(ArraysStayReadOnly):
                 self._set(key, default if value is None else value)
 
 
+NO_OTHER_UNIT = ("", "none", "metre", "metres")
+
+
 def _warn_of_unit(mesh) -> None:
     """Warn of a mesh of trimesh that states another unit than metres.
 
     It is not converted: trimesh keeps the statement when a mesh is scaled by hand.
     """
     unit = getattr(mesh, "units", None)
-    if not isinstance(unit, str):
+    # trimesh makes a text of None, too, where a mesh without a unit is copied
+    if not isinstance(unit, str) or unit.strip().lower() in NO_OTHER_UNIT:
         return
     from trimesh.units import unit_conversion  # loaded already, by who made the mesh
 

@@ -281,7 +281,8 @@ class Sonar:
             )
         # no group of channels is longer than the whole array, whose taper makes its beams wider by a half at most
         width_deg = self.common_noise_width_deg
-        if self.common_noise_db is not None and width_deg < min(3.1416, self.beam_width_deg / 2):
+        is_given = width_deg != Sonar.common_noise_width_deg
+        if self.common_noise_db is not None and is_given and width_deg < min(3.1416, self.beam_width_deg / 2):
             yield (
                 f"common_noise_width_deg = {width_deg:g} is narrower than the beams of the whole array, "
                 f"{self.beam_width_deg:g} degrees; if it is in radians, give {math.degrees(width_deg):.4g}"

@@ -289,7 +289,7 @@ def test_a_mesh_of_another_unit_than_metres_gives_a_warning(unit):
         assert len(found) == 1 and f"'{unit}'" in str(found[0].message)
 
 
-@pytest.mark.parametrize("unit", [None, "m", "meters", "1.0 * meters"])
+@pytest.mark.parametrize("unit", [None, "none", "", "m", "meters", "metres", "1.0 * meters"])
 def test_a_mesh_in_metres_gives_no_warning(unit):
     mesh = trimesh.creation.box()
     if unit is not None:

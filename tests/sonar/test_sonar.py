@@ -428,6 +428,9 @@ def test_real_and_unusual_sonars_give_no_warning():
         Sonar("low fan", **{**KEYS, "elevation_fov_deg": 1.0, "tilt_deg": 0.5})
         Sonar("one low beam", **{**KEYS, "n_beams": 1, "elevation_fov_deg": 0.5})
         Sonar("narrow transmitter", **{**KEYS, "transmit_width_deg": 5.0, "bandwidth_hz": 1e3})
+        Sonar(
+            "wide beams", **{**KEYS, "beam_width_deg": 8.0, "common_noise_db": -70.0}
+        )  # the width is the default
         Sonar("long pulse", **{**KEYS, "frequency_hz": 12e3, "bandwidth_hz": 100.0})
 
 
