@@ -33,7 +33,7 @@ SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's star
 # echo, four times where it is less than SHARES[1], and so on; not at all where it is more than the last.
 SHARES = 0.015, 0.04, 0.2, 0.5, 1.0
 WIDEST_COLUMN = 2.0  # in spacings of beams
-COLUMNS_PER_BEAM_WIDTH = 0.5
+COLUMNS_PER_BEAM_WIDTH = 0.5  # so few that spacings decide, unless beams are narrower than these
 # The half-width of the beams' support holds so many wide columns for the sonar's own samples: beams become half as wide
 # again for these. What goes straight to or from the skirts returns a hundredth of multipath, where it goes by way of
 # the reflector, or there both ways, as much as other directions.

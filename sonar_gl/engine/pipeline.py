@@ -47,6 +47,7 @@ def sample(run: Run, setup: PingSetup) -> ReceivedPing:
 
 
 def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
+    """Draw and receive a ping as `sample` does, with image sources sampled as the run has them."""
     if run.sampler.is_apart(setup):
         chosen = choose_samples(run.sampler.choose, setup)
         run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.number + 1)
