@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, BodySums
-from sonar_gl.core.compiled import compiled
+from sonar_gl.engine.difference import share_of_difference, wrong_share
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.engine.visibility import (
@@ -45,7 +45,6 @@ from sonar_gl.sonar.sampling import (
 from sonar_gl.sonar.sector import SHEAR
 
 COARSER = 2  # times fewer samples: with 3 or 4 both lattices miss some rods before a floor
-ERROR_FACTOR = 1.86  # of the error that the difference shows
 DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's own echo
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
 UNEVEN_FACTOR = 1.5  # of the standard deviation of an echo whose faces return unlike shares
@@ -232,12 +231,9 @@ class ErrorModel:
 
         coarser : how many times as many samples `tried` has as `before`
         """
-        total = tried.echo.total
-        if total <= 0:
+        if tried.echo.total <= 0:
             return ErrorEstimate(0.0, 0.0)  # nothing to judge by, and coarser samples would tell no more
-        difference = _sum_of_differences(tried.echo.intensity, before.echo.intensity)
-        factor = ERROR_FACTOR * _share_of_difference(coarser, ERROR_RATE / 2)
-        error = factor * float(difference / total)
+        error = wrong_share(tried.echo, before.echo, coarser)
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
         return ErrorEstimate(error, steps)
 
@@ -250,7 +246,7 @@ class ErrorModel:
         """
         hits, echo, unevenness = tried.counts
         counts = self._counting_bodies(setup, tried)
-        factor = DIFFERENCE_FACTOR * _share_of_difference(coarser, BODY_ERROR_RATE)
+        factor = DIFFERENCE_FACTOR * share_of_difference(coarser, BODY_ERROR_RATE)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
         apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)
         uneven = UNEVEN_FACTOR * unevenness / np.maximum(echo, 1e-30)
@@ -289,21 +285,3 @@ class ErrorModel:
 
     def _reception(self, stage: Stage) -> Reception:
         return reception_of(stage.beamformer, self._reach_rad, self._gain)
-
-
-def _share_of_difference(coarser: float, rate: float) -> float:
-    """Return the error of n samples over their difference from n / coarser samples.
-
-    The two err independently, and errors decrease as n^-rate.
-    """
-    return 1 / math.sqrt(1 + coarser ** (2 * rate))
-
-
-@compiled
-def _sum_of_differences(a, b):
-    """Return Σ|a − b| of two float32 arrays of one shape, (B, K); NumPy would fill two more of them."""
-    total = 0.0
-    for j in range(a.shape[0]):
-        for i in range(a.shape[1]):
-            total += abs(a[j, i] - b[j, i])
-    return total

@@ -17,23 +17,26 @@ import numpy as np
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
 from sonar_gl.core.worker import SecondThread, run_halves
+from sonar_gl.engine.difference import wrong_share
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.engine.visibility import BodyCounts, body_error, count_bodies, reception_of
-from sonar_gl.raster.cull import MARGIN
+from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.fan import ColumnWidths
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
-from sonar_gl.sonar.sampling import WORST_BODY
+from sonar_gl.sonar.sampling import MAX_ROWS, WORST_BODY
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
 SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
-# Multipath errs by its share of the echo. Samples are halved five times where it is less than SHARES[0] of the direct
-# echo, four times where it is less than SHARES[1], and so on; not at all where it is more than the last.
-SHARES = 0.015, 0.04, 0.2, 0.5, 1.0
-WIDEST_COLUMN = 2.0  # in spacings of beams
-COLUMNS_PER_BEAM_WIDTH = 0.5  # so few that spacings decide, unless beams are narrower than these
+# The relative error of multipath that is summed from the coarsest samples is nearly always less; it is compared with
+# nothing. As many samples as of the direct echo leave about so many tolerances.
+FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
+ROW_RATE = 0.85  # the error decreases as the height of rows to this power; columns matter little
+FINEST_HALVINGS = -2  # four times as many samples as of the direct echo
+MIN_SHARE = 0.015  # bodies whose multipath may be more of the direct echo count by themselves
+WIDEST_COLUMN = 1.0  # twice as wide as those of direct echoes; with four times as wide ones slanted walls err
 # The half-width of the beams' support holds so many wide columns for the sonar's own samples: beams become half as wide
 # again for these. What goes straight to or from the skirts returns a hundredth of multipath, where it goes by way of
 # the reflector, or there both ways, as much as other directions.
@@ -102,7 +105,7 @@ class ImageSourceSamples:
 
     Attributes
     ----------
-    halvings : how often samples were halved for them
+    halvings : how often rows were halved for them
     direct : BodyCounts of the direct view
     imaged : BodyCounts of the views of the images, one after the other, as if none was halved
     single_bounce : intensity of the two ways of a single-bounce echo together, over that of one
@@ -117,6 +120,39 @@ class ImageSourceSamples:
     own: Stage
     image: Stage
     sources: tuple[ImageSource, ...]
+
+    @property
+    def rows(self) -> int:
+        """How many rows of the fan are summed."""
+        return self.own.sampling.rows
+
+
+class MultipathEcho(NamedTuple):
+    """The multipath of a ping beside its direct echo.
+
+    Attributes
+    ----------
+    images : ImageSourceSamples that it was summed from
+    multipath, direct : BeamEcho
+    direct_error : the estimated error of the direct echo; None without one
+    """
+
+    images: ImageSourceSamples
+    multipath: BeamEcho
+    direct: BeamEcho
+    direct_error: float | None
+
+    @property
+    def share(self) -> float:
+        """The echo relative to the direct echo."""
+        return self.multipath.total / max(self.direct.total, 1e-30)
+
+    def error_against(self, coarser: MultipathEcho) -> MultipathError | None:
+        """Return the error as the difference from the same multipath with fewer rows shows it; None without echo."""
+        if self.multipath.total <= 0:
+            return None
+        times = self.images.rows / coarser.images.rows
+        return MultipathError(wrong_share(self.multipath, coarser.multipath, times), self.images.rows)
 
 
 class _FoundImage(NamedTuple):
@@ -141,31 +177,55 @@ class Thinning(NamedTuple):
     ----------
     columns, rows : samples of the direct view for one that is summed. Faces are planes, which few columns resolve,
         while most edges that matter are level
-    is_drawn_finer : image sources are drawn with all samples, of which so many are summed. Others are looked up, since
-        most of the error lies where shadows end. Drawing costs little beside sums, but more than weak multipath does
+    is_drawn_alike : image sources are drawn with all samples, of whose rows so many are summed. Others are looked up,
+        since most of the error lies where shadows end. Drawing costs little beside sums, but more than weak multipath
     """
 
-    columns: int
+    columns: float
+    rows: float
+    is_drawn_alike: bool = False
+
+    @property
+    def times_fewer(self) -> float:
+        """How many times fewer samples are summed than are drawn for the direct echo."""
+        return self.rows if self.is_drawn_alike else self.columns * self.rows
+
+
+# After so many halvings of the rows. Where all are drawn they are whole numbers, so that some of them serve.
+THINNINGS = {
+    -2: Thinning(1, 1 / 4),
+    -1: Thinning(1, 1 / 2),
+    0: Thinning(1, 1, True),
+    1: Thinning(2, 2, True),
+    2: Thinning(4, 4),
+    3: Thinning(4, 8),
+}
+
+
+class MultipathError(NamedTuple):
+    """The relative error of multipath, estimated by a comparison, and the rows that it was summed from."""
+
+    error: float
     rows: int
-    is_drawn_finer: bool
 
-
-# After so many halvings. Rows are whole numbers, so that some of drawn ones serve.
-THINNINGS = (
-    Thinning(1, 1, True),
-    Thinning(2, 1, True),
-    Thinning(2, 2, True),
-    Thinning(4, 2, True),
-    Thinning(4, 4, False),
-    Thinning(4, 8, False),
-)
+    def at(self, rows: float) -> float:
+        """Return the error with so many rows, about."""
+        return self.error * (self.rows / rows) ** ROW_RATE
 
 
 class HalvingChoice(NamedTuple):
-    """How often samples are halved for image sources, and whether that stays."""
+    """How finely image sources are sampled.
+
+    Attributes
+    ----------
+    halvings : how often rows are halved
+    is_fixed : whether that stays
+    error : MultipathError of a ping with about such samples; None where none was compared
+    """
 
     halvings: int
     is_fixed: bool = False
+    error: MultipathError | None = None
 
 
 class ImageSources:
@@ -176,24 +236,32 @@ class ImageSources:
     stages : StageCache of the run
     thread : of the run's world
     scene : Scene
-    tolerance : reflectors that can return no more than this share of the echo are left out
+    tolerance : of the whole echo. Reflectors that can return no more than this share of it are left out
+    finest : the least number of halvings
 
     Attributes
     ----------
     choice : HalvingChoice
     """
 
-    COARSEST = len(SHARES)  # halvings
+    COARSEST = max(THINNINGS)  # halvings
 
-    def __init__(self, stages: StageCache, thread: SecondThread, scene: Scene, tolerance: float):
+    def __init__(
+        self,
+        stages: StageCache,
+        thread: SecondThread,
+        scene: Scene,
+        tolerance: float,
+        finest: int = FINEST_HALVINGS,
+    ):
         sonar, engine = stages.sonar, stages.engine
         # specular lobes hold for echoes straight back; the projector's weight would be that of the wrong way
         acoustics = replace(stages.acoustics, specular=False, transmit_beam=False)
-        self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
+        self._draws_lobes, self._tolerance, self._finest = stages.acoustics.specular, tolerance, finest
         self._thread = thread
         self._reach_rad = acoustics.receive_support_rad(sonar)
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
-        widths, pools = ColumnWidths(WIDEST_COLUMN, per_beam_width=COLUMNS_PER_BEAM_WIDTH), stages.pools
+        widths, pools = ColumnWidths(WIDEST_COLUMN), stages.pools
         own_widths = widths._replace(wide_per_support=OWN_WIDE_COLUMNS)
         self._own_stages = StageCache(engine, sonar, acoustics, thread, own_widths, pools)
         if sonar.beam_azimuths_deg is not None:
@@ -223,30 +291,45 @@ class ImageSources:
         """Begin with `first_choice`."""
         self.choice = self.first_choice
 
-    def fix(self, halvings: int) -> None:
-        """Halve samples so often from now on."""
-        self.choice = HalvingChoice(halvings, True)
+    def fix(self, halvings: int, error: MultipathError | None = None) -> None:
+        """Halve rows so often from now on; `error` as of `HalvingChoice`."""
+        self.choice = HalvingChoice(halvings, True, error)
 
     def release(self) -> None:
         """Choose samples ping by ping again."""
-        self.choice = HalvingChoice(self.halvings)
+        self.choice = self.choice._replace(is_fixed=False)
 
     @property
     def halvings(self) -> int:
-        """How often samples are halved, by the multipath of the last ping."""
+        """How often rows are halved, by the multipath of the last ping."""
         return self.choice.halvings
 
-    def review(self, images: ImageSourceSamples | None, multipath: BeamEcho | None, direct: BeamEcho) -> bool:
-        """Adapt the samples to a ping's multipath; return whether this ping is to be drawn once more with them."""
-        if images is None:
-            return False
+    def review(self, echo: MultipathEcho, coarser: MultipathEcho | None) -> bool:
+        """Adapt the samples to a ping's multipath; return whether this ping is to be drawn once more with them.
+
+        coarser : of the same ping with fewer samples, to compare with; None for none
+        """
         if not self.choice.is_fixed:
+            if coarser is not None:
+                self.choice = self.choice._replace(error=echo.error_against(coarser))
             # coarser only where they would stay so: otherwise they flicker
-            wanted, kept = (
-                self._halvings_for(f * multipath.total / max(direct.total, 1e-30), images, f) for f in (1, 2)
-            )
-            self.choice = HalvingChoice(min(max(self.halvings, kept), wanted))
-        return images.halvings > self.halvings
+            wanted, kept = (self._halvings_for(echo, times) for times in (1, 2))
+            self.choice = self.choice._replace(halvings=min(max(self.halvings, kept), wanted))
+        return echo.images.halvings > self.halvings
+
+    def error_of(self, echo: MultipathEcho) -> float:
+        """Return the estimated error of the multipath in a ping, as a share of the whole echo, with the direct echo's.
+
+        It is that of the bins; at the least, comparable with `Plan.bound`, that of the bodies that the images see: a
+        body's own echo may err by WORST_BODY times the tolerance.
+        """
+        if echo.multipath.total <= 0:
+            return 0.0
+        share, images, known = echo.share / (1 + echo.share), echo.images, self.choice.error
+        own = FIRST_ERROR if known is None else known.at(images.rows)
+        of_bins = share * own + (1 - share) * (echo.direct_error or 0.0)
+        fewer = THINNINGS[images.halvings].times_fewer
+        return max(of_bins, _error_by_samples(share, images.imaged, fewer) / WORST_BODY)
 
     def draw(
         self,
@@ -276,11 +359,11 @@ class ImageSources:
         if not found:
             return out
         numbers = sorted({one.number for one in found})
-        columns, rows, is_drawn_finer = THINNINGS[self.halvings]
+        columns, rows, is_drawn_alike = thinning = THINNINGS[self.halvings]
         sampling = replace(
             stage.sampling,
             columns_per_beam=stage.sampling.columns_per_beam / columns,
-            rows=math.ceil(stage.sampling.rows / rows),
+            rows=min(math.ceil(stage.sampling.rows / rows), MAX_ROWS),
         )
         # halved ones may be for this ping alone, or for a first look at it
         if stage.sampling.rows < self._rows:
@@ -289,12 +372,13 @@ class ImageSources:
         self._rows = stage.sampling.rows
         own, image = self._own_stages.stage(sampling), self._image_stages.stage(sampling)
         must_draw = self._has_lobes or any(view.bubbles is not None for view in views)
-        if must_draw or rows > MARGIN:  # else the outermost row that is left of a window might meet a surface
+        # of fewer rows than all, the outermost that is left of a window might meet a surface
+        if must_draw or not is_drawn_alike:
             drawn = own.draw([poses[n] for n in numbers], [states[n] for n in numbers], keep_last=True)
             own_views = [view.sectors for view in drawn]
         else:  # the direct views will do
             own_views = [[every_row(one, rows) for one in views[n].sectors] for n in numbers]
-        drawing, step = (self._image_stages.stage(stage.sampling), rows) if is_drawn_finer else (image, 1)
+        drawing, step = (self._image_stages.stage(stage.sampling), rows) if is_drawn_alike else (image, 1)
         image_views = drawing.draw(
             [poses[one.number] @ one.pose.sonar_from_image for one in found],
             [states[one.number] for one in found],
@@ -302,7 +386,7 @@ class ImageSources:
             planes=[one.pose.clip_plane for one in found],
             keep_last=True,
         )
-        times_fewer = 1 if is_drawn_finer else columns * rows
+        times_fewer = 1 if is_drawn_alike else thinning.times_fewer
         counted = [(drawing, view, gains[one.number]) for one, view in zip(found, image_views, strict=True)]
         if coarser is None:
             counted += [(stage, views[number], gains[number]) for number in numbers]
@@ -355,24 +439,43 @@ class ImageSources:
         counts[::2], counts[1::2] = halves
         return counts
 
-    def _halvings_for(self, share: float, images: ImageSourceSamples, fewer: int = 1) -> int:
-        """Return how often samples may be halved.
+    def _halvings_for(self, echo: MultipathEcho, times: int) -> int:
+        """Return how often rows may be halved.
 
-        share : of multipath, relative to the direct echo
-        fewer : times fewer samples are taken to be there
+        times : so many times the multipath is taken to be there, and so many times fewer samples
         """
+        share, images = times * echo.share, echo.images
         # a body that the images missed has about as many samples in the direct view
         direct = images.direct
-        counts = MULTIPATH_GAIN * direct.echo > SHARES[0] * direct.echo.sum()
+        counts = MULTIPATH_GAIN * direct.echo > MIN_SHARE * direct.echo.sum()
         fewest = min(direct.samples[counts].min(initial=math.inf), direct.samples.sum())
-        at_most = sum(share <= one for one in SHARES)
-        while at_most > 0:
-            times_fewer = fewer * 2**at_most
-            errors = [_error_by_samples(share, one, times_fewer) for one in (direct, images.imaged)]
-            if fewest >= LEAST_ON_BODY * times_fewer and max(errors) <= self._tolerance * (1 + share):
-                break
-            at_most -= 1
-        return at_most
+        # what the direct echo leaves of the tolerance is multipath's, as a share of it
+        spare = max(self._tolerance - (echo.direct_error or 0.0), 0.0)
+        most = self._tolerance + spare / max(share, 1e-30)
+        finest = self._finest_for(images)
+        for halvings in range(self.COARSEST, finest, -1):
+            fewer = times * THINNINGS[halvings].times_fewer
+            errors = [_error_by_samples(share, one, fewer) for one in (direct, images.imaged)]
+            bodies_err = fewest < LEAST_ON_BODY * fewer or max(errors) > self._tolerance * (1 + share)
+            # finer samples than those of the direct echo do not help bodies that have too few there
+            is_enough = halvings <= 0 or not bodies_err
+            if is_enough and self._expected_error(images, halvings) * times**ROW_RATE <= most:
+                return halvings
+        return finest
+
+    def _expected_error(self, images: ImageSourceSamples, halvings: int) -> float:
+        """Return about what the relative error of a ping's multipath is, were rows halved so often."""
+        if self.choice.error is not None:
+            return self.choice.error.at(images.rows * 2.0 ** (images.halvings - halvings))
+        if halvings == self.COARSEST:
+            return FIRST_ERROR
+        return USUAL_ERROR * self._tolerance * 2.0 ** (ROW_RATE * halvings)
+
+    def _finest_for(self, images: ImageSourceSamples) -> int:
+        """Return the least number of halvings whose samples fit for certain."""
+        columns, rows, _ = THINNINGS[images.halvings]
+        n_samples = images.own.fan.n_samples * columns * rows
+        return max(self._finest, min(math.ceil(math.log2(n_samples / MAX_CHOSEN_SAMPLES)), 0))
 
     def _reflecting(self, pose, state: SceneState, index: kernels.ViewIndex, stage: Stage) -> list[tuple]:
         """Return the reflectors that may return more than the tolerance, one of each plane, each with it.
@@ -427,17 +530,6 @@ def _error_by_samples(share: float, counts: BodyCounts, fewer: float) -> float:
     order = np.argsort(-errors)
     most = MULTIPATH_GAIN * share * counts.echo[order] / max(counts.echo.sum(), 1e-30)
     return float(errors[order] @ np.diff(np.minimum(np.cumsum(most), share), prepend=0.0))
-
-
-def error_of(images: ImageSourceSamples, multipath: BeamEcho, direct: BeamEcho) -> float:
-    """Return the estimated error of multipath, as a share of the whole echo, by the bodies that the images see.
-
-    It is comparable with `Plan.bound`: a body's own echo may err by WORST_BODY times the tolerance.
-    """
-    if multipath.total <= 0:
-        return 0.0
-    share = multipath.total / (multipath.total + direct.total)
-    return _error_by_samples(share, images.imaged, 2**images.halvings) / WORST_BODY
 
 
 def _are_alike(a, b) -> bool:

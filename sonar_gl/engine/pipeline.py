@@ -35,15 +35,15 @@ from sonar_gl.sonar.samples import ViewSamples
 def make_ping(run: Run, request: PingRequest) -> Ping:
     """Return one transmission and what it brings back: the whole simulator on one screen."""
     with run.drawing():
-        received = sample(run, run.resolve(request))
-        report = run.report(received)
+        received, report = sample(run, run.resolve(request))
     return finish(run, received, report)
 
 
-def sample(run: Run, setup: PingSetup) -> ReceivedPing:
-    """Draw and receive a ping, again until its samples keep the tolerance. Inside `drawing`."""
+def sample(run: Run, setup: PingSetup) -> tuple[ReceivedPing, PingReport]:
+    """Draw and receive a ping, again until its samples keep the tolerance, and report on it. Inside `drawing`."""
     with run.plan_of_images(is_kept=not setup.request.alone):
-        return _sample_until_kept(run, run.with_later_bodies(setup))
+        received = _sample_until_kept(run, run.with_later_bodies(setup))
+        return received, run.report(received)
 
 
 def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
@@ -52,7 +52,7 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
         chosen = choose_samples(run.sampler.choose, setup)
         run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.number + 1)
         try:
-            received = receive_chosen(run.image_sources_for(is_apart=True), setup, chosen)
+            received = receive_chosen(run.image_sources_for(anew=True), setup, chosen)
             resolution = run.review(received)
         except SampleLimitError as error:  # of its image sources
             if setup.request.alone:
@@ -61,20 +61,23 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
     else:
         received, resolution = None, run.sampler.resolution_for(setup)
     while resolution is not None:
+        coarser = None
         if resolution.finer_images and received is not None:
-            sources = run.image_sources_for(finer=True)
-            coarser = received.drawn.images
-            (images,) = draw_images(sources, resolution, [received.drawn.view], [setup], coarser)
+            sources, coarser = run.image_sources_for(finer=True), received
+            view, of_coarser = received.drawn.view, received.drawn.images
+            (images,) = draw_images(sources, resolution, [view], [setup], of_coarser)
             drawn = replace(received.drawn, resolution=resolution, images=images)
             received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
         else:
             try:
-                (drawn,) = draw(run.image_sources_for(resolution.finer_images), [setup], resolution)
+                sources = run.image_sources_for(resolution.finer_images, anew=resolution.check)
+                (drawn,) = draw(sources, [setup], resolution)
             except SampleLimitError as error:
                 resolution = run.sampler.coarser(error)
                 continue
             received = receive(drawn)
-        resolution = run.review(received)  # a body came into view, or multipath is too coarse
+        # a body came into view, or multipath is too coarse
+        resolution = run.review(received, coarser)
     return received
 
 

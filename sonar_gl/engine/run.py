@@ -16,7 +16,7 @@ from sonar_gl.core.worker import Job, held
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
-from sonar_gl.engine.multipath import HalvingChoice, ImageSources, error_of
+from sonar_gl.engine.multipath import FINEST_HALVINGS, HalvingChoice, ImageSources, MultipathEcho
 from sonar_gl.engine.no_echo import why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
@@ -65,7 +65,8 @@ class Run:
             most = MAX_SAMPLES if sampling else MAX_CHOSEN_SAMPLES
             self.stages = StageCache(world.engine, sonar, acoustics, world.thread, most_samples=most)
             if acoustics.multipath != "none":
-                self.image_sources = ImageSources(self.stages, world.thread, world.scene, tolerance)
+                finest = 0 if sampling else FINEST_HALVINGS
+                self.image_sources = ImageSources(self.stages, world.thread, world.scene, tolerance, finest)
             if sampling:
                 self.sampler = FixedSampling(self.stages, sampling)
             else:
@@ -176,18 +177,18 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
-    def image_sources_for(self, finer: bool = False, is_apart: bool = False) -> ImageSources | None:
+    def image_sources_for(self, finer: bool = False, anew: bool = False) -> ImageSources | None:
         """Return the image sources, ready to draw those of some pings; None without multipath.
 
         Parameters
         ----------
         finer : they are drawn once more, with the samples that were chosen for them
-        is_apart : the samples were chosen from this ping alone, and those of image sources are to be, too
+        anew : the samples of this ping are chosen from it alone, or checked, and those of image sources are to be, too
         """
         if self.image_sources is not None:
             self.image_sources.use_scene(self.world.scene)
             if not finer:
-                self._reset_images(is_apart)
+                self._reset_images(anew)
         return self.image_sources
 
     def take_workers(self, count: int, make: Callable) -> list:
@@ -222,18 +223,23 @@ class Run:
             if planned is not None:
                 images.choice = planned
 
-    def _reset_images(self, is_apart: bool = False) -> None:
-        if self.image_sources is not None and self._is_independent(is_apart):
-            self.image_sources.reset()
+    def _reset_images(self, anew: bool = False) -> None:
+        images = self.image_sources
+        # finer samples are compared with coarser ones of the same ping, before others have them
+        if images is not None and (self._is_independent(anew) or images.choice.error is None):
+            images.reset()
 
     def _is_independent(self, is_apart: bool) -> bool:
         """Return whether image sources of a ping do not depend on those of the pings before."""
         return is_apart or self.sampler.tolerance is None
 
-    def review(self, received: ReceivedPing) -> Resolution | None:
-        """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance."""
+    def review(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> Resolution | None:
+        """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance.
+
+        coarser : the ping with fewer samples of image sources, to compare with; None for none
+        """
         resolution = self.sampler.review(received)
-        if resolution is None and self._review_images(received):
+        if resolution is None and self._review_images(received, coarser):
             return replace(received.drawn.resolution, is_final=True, finer_images=True)
         return resolution
 
@@ -247,14 +253,24 @@ class Run:
 
     def review_apart(self, received: ReceivedPing) -> bool:
         """Return whether the image sources of a ping whose samples were chosen from it alone are to be drawn finer."""
-        self._reset_images(is_apart=True)
+        self._reset_images(anew=True)
         return self._review_images(received)
 
-    def _review_images(self, received: ReceivedPing) -> bool:
-        """Return whether the image sources of a ping are to be drawn finer."""
-        images = self.image_sources
-        made_of = received.drawn.images, received.multipath, received.direct
-        return images is not None and images.review(*made_of)
+    def _review_images(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> bool:
+        """Return whether the image sources of a ping are to be drawn finer; `coarser` as of `review`."""
+        echo = self._multipath_of(received)
+        return echo is not None and self.image_sources.review(echo, coarser and self._multipath_of(coarser))
+
+    def _multipath_of(self, received: ReceivedPing) -> MultipathEcho | None:
+        if received.multipath is None:
+            return None
+        echoes = received.multipath, received.direct
+        return MultipathEcho(received.drawn.images, *echoes, self._direct_error(received))
+
+    def _direct_error(self, received: ReceivedPing) -> float | None:
+        """Return the estimated error of a ping's direct echo; None without one."""
+        estimate = received.drawn.resolution.error_estimate
+        return self.sampler.error_estimate(received.drawn.setup) if estimate is None else estimate
 
     def sample_origin(self) -> SampleOrigin:
         """Return what the `meta` of pings states about the scene and the driver."""
@@ -278,11 +294,9 @@ class Run:
         if received.total <= 0:
             instrument, view = self.instrument, received.drawn.view.sectors
             no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
-        estimate = received.drawn.resolution.error_estimate
-        if estimate is None:
-            estimate = self.sampler.error_estimate(setup)
-        if estimate is not None and received.multipath is not None:
-            estimate = max(estimate, error_of(received.drawn.images, received.multipath, received.direct))
+        estimate, echo = self._direct_error(received), self._multipath_of(received)
+        if estimate is not None and echo is not None:
+            estimate = max(estimate, self.image_sources.error_of(echo))
         origin = self.sample_origin()
         # others were added since it was drawn, and have no number in it
         if setup.n_bodies < len(origin.bodies):

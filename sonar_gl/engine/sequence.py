@@ -104,12 +104,15 @@ def plan(run: Run, requests: Iterable[PingRequest]) -> Plan | None:
 def _fix_images(run: Run, images: ImageSources, setups: Sequence[PingSetup]) -> None:
     """Choose the samples of image sources for all of some pings, for IMAGE_POSES of many, and stay with them."""
     images.release()
-    least = images.COARSEST
+    least, errors = images.COARSEST, []
     for setup in evenly_picked(setups, IMAGE_POSES):
         images.reset()
-        if (found := sample(run, setup).drawn.images) is not None:
+        received, _ = sample(run, setup)
+        if (found := received.drawn.images) is not None:
             least = min(least, found.halvings)
-    images.fix(least)
+        if images.choice.error is not None:
+            errors.append(images.choice.error)
+    images.fix(least, max(errors, key=lambda error: error.at(1), default=None))
 
 
 class _QueuedPing(NamedTuple):
@@ -410,8 +413,7 @@ def _is_outdated(run: Run, started: _Started, received: ReceivedPing) -> bool:
 def _sampled(run: Run, setup: PingSetup) -> Ping:
     """Return a ping that is sampled alone, as `Simulator.ping` does."""
     with run.drawing():
-        received = sample(run, setup)
-        report = run.report(received)
+        received, report = sample(run, setup)
     return finish(run, received, report)
 
 

@@ -41,10 +41,10 @@ SURFACE_MARGIN_M = 1e-3
 # A perspective view samples its edges 1/cos² of the half-width more densely than its middle.
 MAX_SECTOR_RAD = math.radians(60.0)
 # A column takes the mean of a smooth beam pattern over its width. It is as wide as a sample, but at most half a beam
-# spacing, and at least the half-width of the pattern's support (about four beam widths) over this number.
+# spacing, and at most half a part of a beam, since the range of a slanted wall changes across a column. It is at least
+# the half-width of the pattern's support (about four beam widths) over this number.
 COLUMNS_PER_SUPPORT = 128
-# The −3 dB width of a beam holds at least so many columns: the range of a slanted wall changes across one.
-COLUMNS_PER_BEAM_WIDTH = 8
+PARTS_PER_BEAM = 4  # of its −3 dB width
 # A column is weighed by the mean of the transmit beam over it, whatever its echo is at either end. Columns of boxes are
 # as wide as a beam, but there are at least so many in the −3 dB width of the transmit beam.
 COLUMNS_PER_TRANSMIT_BEAM = 16
@@ -69,14 +69,13 @@ class ColumnWidths(NamedTuple):
 
     Attributes
     ----------
-    max_width : of a column, in beam spacings; without effect on boxes
+    max_width : of a column, in beam spacings, or in parts of a beam (PARTS_PER_BEAM) where those are narrower; without
+        effect on boxes
     wide_per_support : the half-width of the beams' support holds at least so many wide columns, about
-    per_beam_width : the −3 dB width of a receive beam holds at least so many columns; without effect on boxes
     """
 
     max_width: float = 0.5
     wide_per_support: float = WIDE_COLUMNS_PER_SUPPORT
-    per_beam_width: float = COLUMNS_PER_BEAM_WIDTH
 
 
 USUAL_WIDTHS = ColumnWidths()
@@ -303,7 +302,7 @@ def _column_edges(
             ends = (ends + math.pi) % (2 * math.pi) - math.pi
     else:
         spacing = np.diff(axes_rad).min(initial=span)
-        widest = min(widths.max_width * spacing, math.radians(sonar.beam_width_deg) / widths.per_beam_width)
+        widest = widths.max_width * min(spacing, math.radians(sonar.beam_width_deg) / PARTS_PER_BEAM)
         width = max(min(sample_rad, widest), beams.support_rad / COLUMNS_PER_SUPPORT)
         ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams_rad]), start, stop))
