@@ -273,18 +273,7 @@ class _Workers:
 
     def __init__(self, run: Run):
         self._run, self._number = run, 0
-        world, instrument = run.world, run.instrument
-        make = partial(
-            PingWorker,
-            engine=world.engine,
-            sonar=instrument.sonar,
-            acoustics=instrument.acoustics,
-            scene=world.scene,
-            tolerance=run.tolerance,
-            gain=instrument.gain,
-            most_samples=run.stages.most_samples,
-        )
-        self._workers = run.take_workers(n_threads(), make)
+        self._workers = run.take_workers(n_threads(), partial(PingWorker, run))
         self.ahead = 2 * len(self._workers) - 1
 
     def start(self, setups: list[PingSetup]) -> Job:
