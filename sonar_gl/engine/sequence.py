@@ -17,7 +17,7 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.adaptive import evenly_picked
 from sonar_gl.engine.error_model import Plan
-from sonar_gl.engine.flow import PingSetup, ReceivedPing
+from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
@@ -376,7 +376,9 @@ def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iter
         received = [None] * len(started.pings)
     for one in received:
         with run.world.unchanged():
-            is_good = one is not None and not _is_outdated(run, started, one)
+            is_good = one is not None and not (
+                run.review_apart(one) if started.is_apart else run.is_outdated(one, started.choice)
+            )
             if is_good and plan is not None:
                 upcoming.follow(started.pings[0], plan, one.direct.total)
             report = run.report(one) if is_good and one.total > 0 else None
@@ -389,11 +391,6 @@ def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iter
         started.pings.pop(0)
         yield ping
     in_flight.popleft()
-
-
-def _is_outdated(run: Run, started: _Started, received: ReceivedPing) -> bool:
-    """Return whether a ping must be made again."""
-    return run.review_apart(received) if started.is_apart else run.is_outdated(received, started.choice)
 
 
 def _sampled(run: Run, setup: PingSetup) -> Ping:
