@@ -133,12 +133,15 @@ class Run:
         world, bubbles = self.world, self.instrument.acoustics.bubbles
         self._warn_of_air(request.pose)
         state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
-        background = None if request.background is None else world.mask_of(request.background)
-        needs_lobes = request.needs_noise_parts and self._returns_lobes(state)
-        texture = self._texture_of(state) if request.needs_noise_parts else None
-        n_bodies, surface_z_m = len(world.scene.bodies), world.scene.surface_z_m
-        more = background, surface_z_m, needs_lobes, texture
-        return self.instrument.set_up(request, state, n_bodies, *more)
+        return self.instrument.set_up(
+            request,
+            state,
+            len(world.scene.bodies),
+            background=None if request.background is None else world.mask_of(request.background),
+            surface_z_m=world.scene.surface_z_m,
+            needs_lobes=request.needs_noise_parts and self._returns_lobes(state),
+            texture=self._texture_of(state) if request.needs_noise_parts else None,
+        )
 
     def _returns_lobes(self, state: SceneState) -> bool:
         """Return whether a body that is present may return a specular lobe."""
