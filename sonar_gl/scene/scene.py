@@ -385,13 +385,11 @@ class Scene(ArraysStayReadOnly):
 
     def with_surface(self, surface_z_m: float | None) -> Scene:
         """Return the same scene with the water's surface at this height, metres; None = out of reach."""
-        return self._with(self.bodies_and_plumes, surface_z_m)
+        return self._with(self.bodies_and_plumes, surface_z_m=surface_z_m)
 
-    def _with(self, things, *surface_z_m: float | None) -> Scene:
-        (height_m,) = surface_z_m or (self.surface_z_m,)
-        return Scene(
-            things, self.sonar_pose, self.name, height_m, self.surface_roughness_m, self.sensors, self.models
-        )
+    def _with(self, things, **changed) -> Scene:
+        fields = "sonar_pose", "name", "surface_z_m", "surface_roughness_m", "sensors", "models"
+        return Scene(things, **{field: getattr(self, field) for field in fields} | changed)
 
     def _matching(self, patterns) -> set[str]:
         names, found = [thing.name for thing in self.bodies_and_plumes], set()
