@@ -315,7 +315,7 @@ class Beamformer:
         sines = np.linspace(-1, 1, elevations_of(fan))
         is_even = elevation_pattern is None
         self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
-        self._tiles, self._columns_sr = tuple(weights.tiles), weights.columns_sr
+        self._weights, self._tiles = weights, tuple(weights.tiles)
         self._parts = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
         # the fan may be higher, to hold the side lobes of the pattern
         is_main_lobe = self.elevation_table > HALF_POWER_TWO_WAY
@@ -338,7 +338,6 @@ class Beamformer:
             [_strips_within(sector.strips, half, received) for sector in fan.sectors] for half in self._halves
         )
         self._wide_shares = fan.wide_shares
-        self._weights = weights
 
     @cached_property
     def mirrored_strips(self) -> tuple:
@@ -375,7 +374,7 @@ class Beamformer:
         columns = self._column_sums()
         # spans first: what lies outside of them is never cleared, should an interrupt come between
         columns.spans[:] = 0, columns.sums.shape[1]
-        columns.sums[:] = self._columns_sr[:, None]
+        columns.sums[:] = self._weights.columns_sr[:, None]
         response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
         columns.sums[:] = 0
         columns.spans[:] = columns.sums.shape[1], 0
