@@ -189,8 +189,8 @@ class Run:
         """
         if self.image_sources is not None:
             self.image_sources.use_scene(self.world.scene)
-            if not finer:
-                self._reset_images(is_apart)
+            if not finer and self._is_independent(is_apart):
+                self.image_sources.reset()
         return self.image_sources
 
     def take_workers(self, count: int, make: Callable) -> list:
@@ -225,10 +225,6 @@ class Run:
             if planned is not None:
                 images.choice = planned
 
-    def _reset_images(self, is_apart: bool = False) -> None:
-        if self.image_sources is not None and self._is_independent(is_apart):
-            self.image_sources.reset()
-
     def _is_independent(self, is_apart: bool) -> bool:
         """Return whether image sources of a ping do not depend on those of the pings before."""
         return is_apart or self.sampler.tolerance is None
@@ -250,7 +246,8 @@ class Run:
 
     def review_apart(self, received: ReceivedPing) -> bool:
         """Return whether the image sources of a ping whose samples were chosen from it alone are to be drawn finer."""
-        self._reset_images(is_apart=True)
+        if self.image_sources is not None:
+            self.image_sources.reset()
         return self._review_images(received)
 
     def _review_images(self, received: ReceivedPing) -> bool:
