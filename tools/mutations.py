@@ -499,14 +499,14 @@ MUTATIONS = (
     ),
     Mutation(
         "sequence/iterator that ends early",
-        "_next_value(column, per_ping[field][0], number)",
+        "_next_value(column, name, number)",
         "next(column, None)",
         (ENDS_EARLY,),
     ),
     Mutation(
         "sequence/name of what ended",
-        "column, per_ping[field][0], number",
-        "column, field, number",
+        "column, name, number",
+        "column, FIELDS[name], number",
         (ENDS_EARLY,),
     ),
     Mutation(
@@ -517,8 +517,8 @@ MUTATIONS = (
     ),
     Mutation(
         "sequence/iterator that goes on",
-        "(column, per_ping[field][0], number) for field, column in columns",
-        "(column, per_ping[field][0], number) for field, column in columns for _ in (0, 1)",
+        "(column, name, number) for name, column in columns",
+        "(column, name, number) for name, column in columns for _ in (0, 1)",
         ("test_sequence::test_an_iterator_may_go_on_beyond_the_poses",),
     ),
     Mutation(

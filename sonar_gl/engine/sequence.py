@@ -30,6 +30,9 @@ BATCH = 4  # pings drawn at once
 # From half as many samples on, a ping gains nothing by being drawn with others.
 BATCH_SAMPLES = 1 << 19
 IMAGE_POSES = 5  # of a planned sequence, that decide how finely image sources are sampled
+# arguments with one value a pose: the field of `PingRequest` that it is
+FIELDS = {"bodies": "bodies", "times_s": "time_s", "velocities": "velocity"}
+FIELDS |= {"reflectivities": "reflectivity", "waters": "water"}
 
 
 def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
@@ -38,7 +41,7 @@ def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
     Parameters
     ----------
     poses : (4, 4) world_from_sonar of each
-    per_ping : field of `PingRequest` -> (name in messages, value of each ping, or None for none)
+    per_ping : key of FIELDS -> value of each ping, or None for none
     common : fields of `PingRequest` that all have in common
 
     Raises
@@ -47,12 +50,12 @@ def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
         if one of these is not one value per ping: at once where lengths are known, else at the first pose without a
         value. Values are checked one by one.
     """
-    columns = [(field, iter(_per_ping(values, name, poses))) for field, (name, values) in per_ping.items()]
+    columns = [(name, iter(_per_ping(values, name, poses))) for name, values in per_ping.items()]
     poses = several_poses(poses)
 
     def requests():
         for number, pose in enumerate(poses):
-            values = {field: _next_value(column, per_ping[field][0], number) for field, column in columns}
+            values = {FIELDS[name]: _next_value(column, name, number) for name, column in columns}
             yield PingRequest(pose, number=number, **common, **values)
 
     return requests()
