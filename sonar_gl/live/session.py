@@ -269,7 +269,7 @@ class LiveSession:
 
     def next_frame(self) -> LiveFrame:
         """Make a ping now, and return its frame; listeners do not get it."""
-        return self._thread.do(self._ping)
+        return self._thread.do(lambda: self._sonar.ping(self._request()))
 
     def still(self, frame: LiveFrame) -> LiveFrame:
         """Return a frame as `sonar-gl render` makes it: with its pose rounded, and samples planned for that pose alone.
@@ -373,9 +373,6 @@ class LiveSession:
         for listener in listeners:
             listener.tell(frame)
         return True
-
-    def _ping(self) -> LiveFrame:
-        return self._sonar.ping(self._request())
 
     def _request(self) -> FrameRequest:
         """Return what a ping that is made now depends on."""
