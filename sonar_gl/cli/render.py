@@ -197,9 +197,7 @@ class FrameWriter:
 
     def __post_init__(self):
         self._strongest, self._bright_share, self._times_ms = None, None, []
-        self._has_files = (
-            False  # whether a file was written, or its writing has begun, which is then finished
-        )
+        self._has_files = False  # whether the writing of a file has begun, which is then finished
 
     def write(self, poses, times_s=None) -> str:
         """Write all files, and return one line about them and the strongest echo.
