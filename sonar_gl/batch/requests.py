@@ -6,7 +6,7 @@ import math
 import os
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -444,11 +444,7 @@ def _load_noise(job: Job) -> Noise:
     if not isinstance(preset, str) or preset not in PRESETS:
         raise Error(f"{where}.preset must be one of {', '.join(PRESETS)} (got {shown(preset)})")
     check_moved_amounts(where, settings)
-    return build(Noise, _fields_of(PRESETS[preset]) | settings, where)
-
-
-def _fields_of(record) -> dict:
-    return {field.name: getattr(record, field.name) for field in fields(record)}
+    return build(Noise, asdict(PRESETS[preset]) | settings, where)
 
 
 def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
@@ -468,7 +464,7 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
                 if value != int(value):
                     raise Error(f"{where}: vary.noise.{WHOLE_NOISE} must be whole numbers (got {value:g})")
                 values[WHOLE_NOISE] = int(value)
-            build(type(base), _fields_of(base) | values, f"{where}: vary.{name}")
+            build(type(base), asdict(base) | values, f"{where}: vary.{name}")
     if vary.water and acoustics.sonar_sound_speed_m_s is not None:
         raise Error(
             f"{where}: vary.water and acoustics.sonar_sound_speed_m_s exclude each other (got both; ranges "
