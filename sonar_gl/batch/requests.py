@@ -15,8 +15,8 @@ from sonar_gl.acoustics.acoustics import Acoustics, check_moved
 from sonar_gl.acoustics.water import Water
 from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, split_sonar
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
-from sonar_gl.core.checks import shown
-from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.checks import check_choice, shown
+from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.names import matching_names
 from sonar_gl.core.poses import MAX_TIME_S
@@ -451,9 +451,7 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
     """Check the tables vary.water and vary.noise, and that both ends of their ranges are allowed."""
     where, vary = job.where, job.vary
     for key in vary.water:
-        if key not in VARIED_WATER:
-            hint = nearest_names(key, VARIED_WATER)
-            raise Error(f"{where}: vary.water: unknown key (got {key!r}; {hint})")
+        check_choice("key", key, VARIED_WATER, f"{where}: vary.water")
     check_moved_amounts(f"{where}: vary.noise", vary.noise)
     if "median" in vary.noise:
         raise Error(f"{where}: vary.noise: median cannot vary; set it in the table noise (got it here)")

@@ -14,7 +14,7 @@ from sonar_gl.core.checks import (
     check_whole_number,
     make_numbers_plain,
 )
-from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.errors import Error
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, MAX_HEIGHT, colours
 from sonar_gl.noise.settings import Noise
 from sonar_gl.raster.engine import ENGINES
@@ -126,8 +126,7 @@ class LiveSettings:
         """
         known = [one.name for one in fields(self)] + ["water", "gain_db"]
         for name in values:
-            if name not in known:
-                raise Error(f"unknown setting (got {name!r}; {nearest_names(name, known)})")
+            check_choice("setting", name, known)
         if "water" in values:
             water = values.pop("water")
             check_kind("water", water, Water, "such as sonar_gl.Water(temperature_c=4.0)")
@@ -166,7 +165,5 @@ def term_names() -> list[str]:
 
 
 def _term(name: str) -> Term:
-    for term in TERMS:
-        if term.name == name:
-            return term
-    raise Error(f"unknown term (got {name!r}; {nearest_names(name, term_names())})")
+    check_choice("term", name, term_names())
+    return next(term for term in TERMS if term.name == name)
