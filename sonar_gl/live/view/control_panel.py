@@ -10,6 +10,7 @@ from threading import Thread
 from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
 from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error, closed_error
+from sonar_gl.core.worker import Job
 from sonar_gl.imaging.fan_image import ANCHORS
 from sonar_gl.live.motion import SPEED_M_S
 from sonar_gl.live.session import LiveSession
@@ -93,7 +94,7 @@ class ControlPanel:
         """Have all controls show the settings that the session has."""
         settings = self._session.settings
         if self._priced is not None and self._priced != _priced_by(settings):
-            self._hide_prices()
+            self._prices.content, self._priced = "", None
         for slider, scale_of in self._sliders:
             _scale_slider(slider, scale_of(settings))
         for handle, shown in self._shown:
@@ -339,16 +340,13 @@ class ControlPanel:
         """Have the terms priced in a thread, since that takes seconds."""
         if self._pricing is not None and self._pricing.is_alive():
             raise Error("terms are being priced already (wait until they are)")
-        of = _priced_by(self._session.settings)
+        of, job = _priced_by(self._session.settings), Job(lambda: self._session.prices(self._check_open))
 
         def find():
-            try:
-                prices = self._session.prices(self._check_open)
-                self._actions.ask(client, lambda: self._show_prices(prices, of))
-            except Exception as why:
-                self._actions.ask(client, lambda why=why: _raise(why))
-            finally:
-                self._actions.ask(client, lambda: setattr(self._price, "disabled", False))
+            job.begin()
+            # or says why there are none
+            self._actions.ask(client, lambda: self._show_prices(job.result(), of))
+            self._actions.ask(client, lambda: setattr(self._price, "disabled", False))
 
         self._price.disabled = True
         self._pricing = Thread(target=find, name="sonar_gl prices", daemon=True)
@@ -363,9 +361,6 @@ class ControlPanel:
     def _check_open(self) -> None:
         if self._is_closed:
             raise closed_error("page")
-
-    def _hide_prices(self) -> None:
-        self._prices.content, self._priced = "", None
 
     def _show_prices(self, prices: list[Price], of: tuple) -> None:
         """Show the prices of some settings, until these change."""
@@ -441,10 +436,6 @@ class ControlPanel:
 def _place_text(path: Path, also: str = "") -> str:
     """Return where a file is, its name first: a note cuts off what is too long for a line."""
     return f"{path.name}{also} in {path.parent}"
-
-
-def _raise(why: Exception) -> None:
-    raise why
 
 
 def _scale_slider(slider, scale: NumberScale) -> None:
