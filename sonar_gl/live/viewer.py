@@ -157,14 +157,12 @@ def view(
     load_numba()
     if on_ping is not None:
         check_function("on_ping", on_ping, "a Ping")
-    source = None
-    if not isinstance(scene, Scene):
-        source, scene = SceneSource(str(scene)), load_scene(scene)
+    name = None if isinstance(scene, Scene) else str(scene)
+    scene = scene if name is None else load_scene(scene)
     text = sonar if isinstance(sonar, str) else None
     if not isinstance(sonar, Sonar):
         sonar = scene.sonar or load_sonar(DEFAULT_SONAR) if sonar is None else load_sonar(sonar)
-    if source is not None and text is not None:
-        source = SceneSource(source.name, sonar=text, loaded=sonar)
+    source = None if name is None else SceneSource(name, sonar=text, loaded=None if text is None else sonar)
     track = None
     if isinstance(pose, (str, Path)):
         times_s, poses = read_poses(pose)
