@@ -293,8 +293,7 @@ class OpticalOutput(Output):
             scene = self.requests.scene(request.scene)
             self._renderer = OpticalCamera(scene, self.camera, device=self._device)
         pose = request.vehicle_pose @ self._mount
-        known = {body.name for body in self.requests.scene(request.scene).bodies}
-        rgb, depth_m = self._renderer(pose, {n: at for n, at in request.bodies.items() if n in known})
+        rgb, depth_m = self._renderer(pose, request.bodies)
         millimetres = np.where(depth_m < MAX_DEPTH_M, np.rint(1e3 * depth_m), 0).astype(np.uint16)
         self.put(ping_file("optical/rgb", request.number, "png"), png_bytes(rgb))
         self.put(ping_file("optical/depth", request.number, "png"), png_bytes(millimetres))
