@@ -130,13 +130,9 @@ class LiveSettings:
         if "water" in values:
             water = values.pop("water")
             check_kind("water", water, Water, "such as sonar_gl.Water(temperature_c=4.0)")
-            check_kind(
-                "acoustics",
-                values.get("acoustics", self.acoustics),
-                Acoustics,
-                "such as Acoustics.physical()",
-            )
-            values["acoustics"] = replace(values.get("acoustics", self.acoustics), water=water)
+            acoustics = values.get("acoustics", self.acoustics)
+            check_kind("acoustics", acoustics, Acoustics, "such as Acoustics.physical()")
+            values["acoustics"] = replace(acoustics, water=water)
         gain_db = values.pop("gain_db", None)
         if "sonar" in values:
             values = {"range_m": None, "n_bins": None, "counts": None} | values
