@@ -79,7 +79,7 @@ class LiveOutput:
     @property
     def n_recorded(self) -> int:
         """Number of pings of the last recording."""
-        return 0 if self._recording is None else self._recording.n_pings
+        return 0 if self._recording is None else len(self._recording.files)
 
     @property
     def n_missed(self) -> int:
