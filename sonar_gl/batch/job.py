@@ -13,7 +13,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from sonar_gl.core.checks import is_finite
+from sonar_gl.core.checks import check_choice, is_finite
 from sonar_gl.core.errors import Error, errors_at, nearest_names
 from sonar_gl.core.extras import missing_module
 from sonar_gl.core.names import matching_names
@@ -464,8 +464,7 @@ def check_keys(kind: type, table: Mapping, where: str) -> None:
         for field in dataclasses.fields(kind)
     }
     for key in table:
-        if key not in needed:
-            raise Error(f"{where}: unknown key (got {key!r}; {nearest_names(key, needed)})")
+        check_choice("key", key, needed, where)
     if missing := [key for key, is_needed in needed.items() if is_needed and key not in table]:
         raise Error(f"{where}: {' and '.join(missing)} must be given")
 

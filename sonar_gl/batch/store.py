@@ -252,10 +252,8 @@ class PingTable:
         for k, table in enumerate(job.vary.bodies):
             check_patterns(table.names, known, f"{job.where}: vary.bodies[{k}].names")
         widths = {"status": 1, "scene": 1, "time_s": 1, "pose": MATRIX}
-        widths |= {("has_echo", sonar): 1 for sonar in requests.sonars}
-        widths |= {("echo", sonar): 1 for sonar in requests.sonars}
-        widths |= {("error_estimate", sonar): 1 for sonar in requests.sonars}
-        widths |= {("sampling", sonar): 2 for sonar in requests.sonars}  # columns per beam, rows
+        for name, width in (("has_echo", 1), ("echo", 1), ("error_estimate", 1), ("sampling", 2)):
+            widths |= {(name, sonar): width for sonar in requests.sonars}  # sampling: columns per beam, rows
         widths |= {"water": len(self.water), "noise": len(self.noise)}
         widths |= {"moved": len(self.moved) * AFFINE, "reflectivity": len(self.with_reflectivity)}
         self._columns, self.width = {}, 0

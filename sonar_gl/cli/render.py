@@ -197,9 +197,7 @@ class FrameWriter:
 
     def __post_init__(self):
         self._strongest, self._bright_share, self._times_ms = None, None, []
-        self._has_files = (
-            False  # whether a file was written, or its writing has begun, which is then finished
-        )
+        self._has_files = False  # whether the writing of a file has begun, which is then finished
 
     def write(self, poses, times_s=None) -> str:
         """Write all files, and return one line about them and the strongest echo.
@@ -293,7 +291,9 @@ class FrameWriter:
                 needs_picture = set(self.formats) != {"npz"}
                 picture = self.style(self.simulator, ping, number) if needs_picture else None
                 if needs_picture:
-                    self._note_bright(self._is_bright(ping, picture))
+                    bright = self._is_bright(ping, picture)
+                    share = np.count_nonzero(bright) / bright.size
+                    self._bright_share = max(self._bright_share or 0.0, share)
                 self._has_files |= bool(stills)
                 if "png" in stills:
                     calls.start(save_png, self.folder / f"{names[number]}.png", picture)
@@ -314,10 +314,6 @@ class FrameWriter:
         law = ping.counts_law()
         least, power = law.intensity_of(VISIBLE_SHARE * law.full_scale), receiver_power(ping, self.noise)
         return ping.intensity > (least if power is None else np.maximum(least, OVER_NOISE * power))
-
-    def _note_bright(self, bright: np.ndarray):
-        """Remember the largest share of bright cells, or pixels."""
-        self._bright_share = max(self._bright_share or 0.0, np.count_nonzero(bright) / bright.size)
 
     def _strongest_echo(self, ping: Ping, number: int) -> Echo:
         """Return the strongest echo, or that there is none, or none above the noise, which rises with range."""

@@ -391,8 +391,6 @@ class Publisher:
         self._place(order)
         for kind, message in self._messages_of(ping, time_ns):
             self._send(kind, message, time_ns)
-        if "points" in self._topics:
-            self._send("points", self._points(pose, time_ns), time_ns)
         self._n_pings += 1
 
     def _make_ready(self, pose: np.ndarray) -> None:
@@ -404,10 +402,7 @@ class Publisher:
             with collected_warnings():
                 ping = self._simulator.ping(pose, self._noise, self.settings.seed)
             links = [self._types.transform(0, self.settings.world_frame, self.settings.frame, pose)]
-            messages = [self._types.transforms(links), *dict(self._messages_of(ping, 0)).values()]
-            if "points" in self._topics:
-                messages.append(self._points(pose, 0))
-            for message in messages:
+            for message in (self._types.transforms(links), *dict(self._messages_of(ping, 0)).values()):
                 self._types.encode(message)
         except MachineError:
             raise
@@ -457,6 +452,8 @@ class Publisher:
             else:
                 picture = colorize(picture, settings.colormap)
             yield "image", types.image(header, picture)
+        if "points" in self._topics:
+            yield "points", self._points(ping.pose, time_ns)
 
     def _points(self, pose: np.ndarray, time_ns: int):
         """Return the message of a point cloud."""

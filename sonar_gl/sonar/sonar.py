@@ -533,8 +533,7 @@ def load_sonar(what: str | Path) -> Sonar:
         raise _no_sonar_error(what, path, known)
     tables = _read_tables(path)
     if path != Path(text):  # the text names a table
-        if table not in tables:
-            raise Error(f"{path}: unknown table (got {table!r}; {nearest_names(table, tables)})")
+        check_choice("table", table, tables, str(path))
     elif len(tables) > 1:
         raise Error(
             f"{path}: must contain one sonar, or one of its tables must be named "
@@ -608,8 +607,7 @@ def _sonar_from_table(location: str, name: str, table: dict) -> Sonar:
     required = {field.name: field.default is MISSING for field in fields(Sonar)}
     with errors_at(location):
         for key in table:
-            if key not in required:
-                raise Error(f"unknown key (got {key!r}; {nearest_names(key, required)})")
+            check_choice("key", key, required)
         for key in ("name", "source"):
             if not isinstance(table.get(key, ""), str):
                 raise Error(f"{key} must be text (got {table[key]!r}; put it in quotes)")

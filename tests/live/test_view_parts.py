@@ -26,7 +26,7 @@ from sonar_gl.live.view.outline import PictureSector, fan_arcs, fan_outline
 from sonar_gl.live.view.ping_panel import HELP_HTML, PANEL
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_marks import MarkedPicture, marks_html
-from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
+from sonar_gl.live.view.range_scale import allowed_range_m, range_scale, shown_range_m
 from sonar_gl.sonar.sonar import Sonar, presets
 from tests.support.fan_ping import fan_ping
 
@@ -270,16 +270,17 @@ def test_prices_are_a_table_without_zeros_that_were_not_measured():
 )
 def test_the_slider_of_the_range_follows_the_sonar(near_m, far_m, limit_m, set_m, expected):
     sonar = replace(SONAR, n_bins=1, range_min_m=near_m, range_max_m=far_m, range_limit_m=limit_m)
-    scale = RangeScale.of(LiveSettings(sonar, range_m=set_m))
-    got = scale.low_m, scale.high_m, scale.step_m, scale.shown_m
+    settings = LiveSettings(sonar, range_m=set_m)
+    scale = range_scale(settings)
+    got = scale.low, scale.high, scale.step, shown_range_m(settings)
     assert got == pytest.approx(expected)  # decimal fractions
 
 
 @pytest.mark.parametrize("name", presets())
 def test_each_preset_takes_every_range_of_its_slider(name):
-    scale = RangeScale.of(LiveSettings(name))
-    assert scale.low_m < scale.shown_m <= scale.high_m
-    for range_m in (scale.low_m, scale.high_m):
+    scale = range_scale(LiveSettings(name))
+    assert scale.low < shown_range_m(LiveSettings(name)) <= scale.high
+    for range_m in (scale.low, scale.high):
         device = LiveSettings(name, range_m=range_m).device
         assert device.range_max_m == range_m == allowed_range_m(device, range_m)
 
