@@ -25,7 +25,9 @@ def handbook_strength(grazing_deg, frequency_khz, wind_m_s):
     s2 = 4.6e-3 * math.log(2.1 * u * u)
 
     def facets(off_vertical):
-        return math.exp(-(math.tan(off_vertical) ** 2) / s2) / math.cos(off_vertical) ** 4 / (4 * math.pi * s2)
+        return (
+            math.exp(-(math.tan(off_vertical) ** 2) / s2) / math.cos(off_vertical) ** 4 / (4 * math.pi * s2)
+        )
 
     # the angle from the vertical at which facets return 15 dB less: they fall evenly to beyond it
     low, high = 0.0, math.radians(45)
