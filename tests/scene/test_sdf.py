@@ -228,7 +228,7 @@ def test_the_poses_of_models_are_kept(tmp_path, read):
 def test_a_body_with_the_name_of_its_link_has_its_pose(read):
     links = "".join(f"<link name='{k}'><pose>{k} 0 3 0 0 0</pose>{shape(RETRO)}</link>" for k in (1, 2))
     scene = read(model(f"<pose>10 0 0 0 0 0</pose>{links}"))
-    for k, body in enumerate(scene.bodies, 1):
+    for k, body in zip((1, 2), scene.bodies, strict=True):
         np.testing.assert_array_equal(body.pose, pose(10 + k, 0, 3))
         np.testing.assert_array_equal(body.mesh.bounds, [[-1, -2, -3], [1, 2, 3]])
 
