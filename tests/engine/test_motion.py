@@ -205,8 +205,12 @@ def test_a_sonar_set_to_another_speed_of_sound():
     with simulator(balls((20.0, 1.0, 0))) as run, simulator(balls((20.0, 1.0, 0)), SONAR, acoustics) as other:
         velocity = (2, 0, 0, 0, 0, 0.5)
         right, wrong = middle(run.ping(HERE, velocity=velocity)), middle(other.ping(HERE, velocity=velocity))
+        still, sliding = middle(other.ping(HERE)), middle(other.ping(HERE, velocity=(0, 10, 0, 0, 0, 0)))
     assert wrong[1] / right[1] == pytest.approx(1450 / 1500, rel=3e-4)
     assert wrong[0] == pytest.approx(right[0], abs=1e-3 * STEP)
+    # the time of travel over the range is that of the water, whatever the sonar is set to
+    psi = math.atan2(1.0, 20.0)
+    assert sliding[0] - still[0] == pytest.approx(-2 * 10 * math.cos(psi) / 1500, abs=1e-3 * STEP)
 
 
 def test_sequences_and_noise():
