@@ -174,8 +174,9 @@ def test_zero_velocity_and_ignored_components():
     with simulator(balls((20, 1, 0), (10, -1, 0))) as run:
         none, still = run.ping(HERE, labels=True), run.ping(HERE, labels=True, velocity=np.zeros(6))
         up = run.ping(HERE, velocity=(0, 0, 1, 0.3, 0.3, 0))
-    np.testing.assert_allclose(still.intensity, none.intensity, rtol=1e-5)
-    np.testing.assert_allclose(up.intensity, none.intensity, rtol=1e-5)
+    # float32, by way of the widths of beams
+    np.testing.assert_allclose(still.intensity, none.intensity, rtol=2e-7)
+    np.testing.assert_allclose(up.intensity, none.intensity, rtol=2e-7)
     assert (still.body_id == none.body_id).all()
     np.testing.assert_array_equal(still.elevation_rad, none.elevation_rad)
     assert still.meta["velocity"] == [0.0] * 6 and "velocity" not in none.meta
