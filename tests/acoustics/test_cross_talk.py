@@ -118,3 +118,11 @@ def test_interleaved_presets_name_their_transmissions():
 def test_wrong_numbers_are_named(change, words):
     with pytest.raises(Error, match=words):
         replace(SONAR, **change)
+
+
+def test_beams_that_no_other_is_received_with_keep_their_echo():
+    """Five beams in three transmissions: 0 with 3, 1 with 4, and 2 alone."""
+    intensity = np.diag(np.float32([3, 6, 9, 12, 15]))
+    found = leak_between_beams(intensity, 10 * np.log10(0.5), 3)
+    shared = [[2, 0, 0, 4, 0], [0, 4, 0, 0, 5], [0, 0, 9, 0, 0], [1, 0, 0, 8, 0], [0, 2, 0, 0, 10]]
+    np.testing.assert_allclose(found, shared, rtol=4 * 2**-24)  # float32

@@ -111,7 +111,9 @@ def test_damage_of_a_record_is_found_refused_and_mended(made, out, name, damage)
 def test_each_changed_digit_of_the_manifest_is_found(made, out):
     """A digit that is changed would divide what is made from then on otherwise."""
     text = (out / BEGUN).read_text()
-    for place in (m.start() for m in re.finditer(r"\d", text)):
+    places = [m.start() for m in re.finditer(r"\d", text)]
+    assert places
+    for place in places:
         (out / BEGUN).write_text(text[:place] + str((int(text[place]) + 1) % 10) + text[place + 1 :])
         with pytest.raises(sg.Error, match="must be as it was written"):
             Manifest.load(Folder(out))

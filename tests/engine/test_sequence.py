@@ -122,6 +122,7 @@ def test_later_pings_do_not_overwrite_earlier_ones(it):
     copies = []
     for ping in it.pings(POSES, labels=True):
         copies.append((ping, ping.intensity.copy(), ping.body_id.copy(), ping.meta.copy()))
+    assert len(copies) == len(POSES)
     for ping, intensity, body_id, meta in copies:
         np.testing.assert_array_equal(ping.intensity, intensity)
         np.testing.assert_array_equal(ping.body_id, body_id)
@@ -291,23 +292,24 @@ def test_other_pings_between_those_of_a_sequence(it):
     """The simulator can make other pings while a sequence waits."""
     expected = [it.ping(pose).intensity for pose in POSES]
     there = it.ping(POSES[7], bodies={"box": None}).intensity
-    for number, ping in enumerate(it.pings(POSES)):
-        np.testing.assert_array_equal(ping.intensity, expected[number])
+    for ping, alone in zip(it.pings(POSES), expected, strict=True):
+        np.testing.assert_array_equal(ping.intensity, alone)
         np.testing.assert_array_equal(it.ping(POSES[7], bodies={"box": None}).intensity, there)
 
 
 def test_two_interleaved_sequences(it):
     expected = [it.ping(pose).intensity for pose in POSES]
-    for number, (one, other) in enumerate(zip(it.pings(POSES), it.pings(POSES[::-1]), strict=True)):
-        np.testing.assert_array_equal(one.intensity, expected[number])
-        np.testing.assert_array_equal(other.intensity, expected[10 - number])
+    both = zip(it.pings(POSES), it.pings(POSES[::-1]), expected, expected[::-1], strict=True)
+    for one, other, alone, alone_back in both:
+        np.testing.assert_array_equal(one.intensity, alone)
+        np.testing.assert_array_equal(other.intensity, alone_back)
 
 
 @pytest.mark.parametrize("labels", [False, True])
 def test_a_single_ping_after_each_of_a_sequence(it, labels):
     """Single pings do not overwrite the images of a sequence in progress."""
-    for number, ping in enumerate(it.pings(POSES, labels=labels)):
-        check_same(ping, it.ping(POSES[number], labels=labels))
+    for pose, ping in zip(POSES, it.pings(POSES, labels=labels), strict=True):
+        check_same(ping, it.ping(pose, labels=labels))
 
 
 def test_pings_from_another_thread_during_a_sequence(it):
