@@ -18,7 +18,7 @@ from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajec
 from sonar_gl.core.checks import check_choice, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
-from sonar_gl.core.names import matching_names
+from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.core.poses import MAX_TIME_S
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
@@ -358,7 +358,8 @@ def _names(scene: Scene) -> list[str]:
 
 def _matched(patterns: list[str], scene: Scene) -> list[str]:
     """Return those patterns that match something in a scene."""
-    return [pattern for pattern in patterns if matching_names([pattern], _names(scene))]
+    names = set(_names(scene))
+    return [pattern for pattern in patterns if names_of(pattern, names)]
 
 
 def _draw(random, value) -> float:

@@ -497,6 +497,13 @@ def test_bodies_are_left_out_by_name():
         scene.with_surface(float("nan"))
 
 
+def test_an_unknown_name_of_many_is_told_with_a_few_known_ones():
+    box = trimesh.creation.box((1, 1, 1))
+    scene = Scene([sg.Body(f"pile_{k:04d}", box) for k in range(1000)])
+    with pytest.raises(Error, match=r"'wreck'; known are pile_0000, .*pile_0009 and 990 more"):
+        scene.without("wreck")
+
+
 DAE = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><unit meter="1"/></asset>
 <library_images><image id="i"><init_from>no.png</init_from></image></library_images>
