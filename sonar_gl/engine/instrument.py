@@ -40,6 +40,7 @@ class Instrument:
         surface_z_m: float | None = None,
         needs_lobes: bool = False,
         texture: np.ndarray | None = None,
+        n_plumes: int = 0,
     ) -> PingSetup:
         """Return a request with what it takes to receive it; from `background` on as in `PingSetup`.
 
@@ -53,7 +54,7 @@ class Instrument:
             acoustics = acoustics.in_water(request.water)
             gain, pulse = self._receiver_in(acoustics)
         head_pose = self.sonar.head_pose(request.pose)
-        further = background, surface_z_m, needs_lobes, texture
+        further = background, surface_z_m, needs_lobes, texture, n_plumes
         return PingSetup(request, head_pose, state, acoustics, gain, pulse, n_bodies, *further)
 
     def _receiver_in(self, acoustics: Acoustics) -> tuple[np.ndarray, np.ndarray | None]:
