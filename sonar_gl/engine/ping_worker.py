@@ -29,7 +29,7 @@ NAME = "sonar_gl ping"  # of the threads
 def n_threads() -> int:
     """Return how many threads make pings: one for each core that this process may use, or NUMBA_NUM_THREADS."""
     count = numba.config.NUMBA_NUM_THREADS
-    if count == numba.config.NUMBA_DEFAULT_NUM_THREADS:  # which knows of no share of time, as containers have it
+    if count == numba.config.NUMBA_DEFAULT_NUM_THREADS:  # it knows of no share of time, as of containers
         count = count_cores()
     return min(count, MAX_WORKERS)
 

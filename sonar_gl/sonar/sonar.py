@@ -289,8 +289,8 @@ class Sonar:
             )
         if self.cross_talk_db is not None and self.cross_talk_beams >= self.n_beams:
             yield (
-                f"cross_talk_beams = {self.cross_talk_beams} leaves {self.n_beams} beams without cross-talk; give fewer "
-                f"than {self.n_beams}, the number of transmissions a frame, or set no cross_talk_db"
+                f"cross_talk_beams = {self.cross_talk_beams} leaves {self.n_beams} beams without cross-talk; give "
+                f"fewer than {self.n_beams}, the number of transmissions a frame, or set no cross_talk_db"
             )
         # no more than 45 degrees in radians, and so little that a picture does not show it
         if 0 < abs(self.tilt_deg) < min(0.8, self.elevation_fov_deg / 10):
