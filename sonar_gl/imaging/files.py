@@ -292,7 +292,7 @@ def _write_mp4(path: Path, first: np.ndarray, rest: Iterator[np.ndarray], fps: f
     found = int(written.get(cv2.CAP_PROP_FRAME_COUNT)) if written.isOpened() else 0
     written.release()
     if found != count:
-        raise Error(f"only {found} of {count} frames could be written as MP4 (is the disk full?)")
+        raise OSError(f"only {found} of {count} frames could be written (is the disk full?)")
 
 
 def _checked_frames(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
