@@ -29,7 +29,7 @@ from sonar_gl.cli.common import (
 )
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
-from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
+from sonar_gl.imaging.files import check_fps, output_folder, save_animation, save_npz, save_png
 from sonar_gl.imaging.styles import FILMS, DemarcoStyle, FanStyle, shows_echo, what_lacks_16_bits
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.settings import Noise
@@ -117,6 +117,8 @@ def _check_combination(options, given: set[str]):
         raise Error(f"--format {films[0]} needs --poses (a film needs a sequence of poses)")
     if "fps" in given and not films:
         raise Error("--fps needs --format gif or --format mp4 (nothing else has frames)")
+    for film in films:
+        check_fps(options.fps, film)
 
 
 def _with_counts(sonar: Sonar, options) -> Sonar:

@@ -7,6 +7,7 @@ from threading import Lock
 
 import numba
 
+from sonar_gl.core.cores import count_cores
 from sonar_gl.core.worker import Job, JobThread, held
 from sonar_gl.engine.adaptive import AdaptiveSampling
 from sonar_gl.engine.error_model import Plan
@@ -23,8 +24,11 @@ NAME = "sonar_gl ping"  # of the threads
 
 
 def n_threads() -> int:
-    """Return how many threads make pings: those of Numba, one for each core unless NUMBA_NUM_THREADS says otherwise."""
-    return min(numba.config.NUMBA_NUM_THREADS, MAX_WORKERS)
+    """Return how many threads make pings: one for each core that this process may use, or NUMBA_NUM_THREADS."""
+    count = numba.config.NUMBA_NUM_THREADS
+    if count == numba.config.NUMBA_DEFAULT_NUM_THREADS:  # it knows of no share of time, as of containers
+        count = count_cores()
+    return min(count, MAX_WORKERS)
 
 
 class PingWorker:

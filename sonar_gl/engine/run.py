@@ -141,6 +141,7 @@ class Run:
             surface_z_m=world.scene.surface_z_m,
             needs_lobes=request.needs_noise_parts and self._returns_lobes(state),
             texture=self._texture_of(state) if request.needs_noise_parts else None,
+            n_plumes=len(world.scene.plumes),
         )
 
     def _returns_lobes(self, state: SceneState) -> bool:
@@ -284,9 +285,10 @@ class Run:
         if estimate is not None and received.multipath is not None:
             estimate = max(estimate, error_of(received.drawn.images, received.multipath, received.direct))
         origin = self.sample_origin()
-        # others were added since it was drawn, and have no number in it
-        if setup.n_bodies < len(origin.bodies):
-            origin = replace(origin, bodies=origin.bodies[: setup.n_bodies])
+        # others were added since it was set up, and are not in it
+        if setup.n_bodies < len(origin.bodies) or setup.n_plumes < len(origin.plumes):
+            known = {"bodies": origin.bodies[: setup.n_bodies], "plumes": origin.plumes[: setup.n_plumes]}
+            origin = replace(origin, **known)
         return PingReport(origin, estimate, no_echo)
 
     def close(self) -> None:

@@ -287,6 +287,11 @@ class Sonar:
                 f"common_noise_width_deg = {width_deg:g} is narrower than the beams of the whole array, "
                 f"{self.beam_width_deg:g} degrees; if it is in radians, give {math.degrees(width_deg):.4g}"
             )
+        if self.cross_talk_db is not None and self.cross_talk_beams >= self.n_beams:
+            yield (
+                f"cross_talk_beams = {self.cross_talk_beams} leaves {self.n_beams} beams without cross-talk; give "
+                f"fewer than {self.n_beams}, the number of transmissions a frame, or set no cross_talk_db"
+            )
         # no more than 45 degrees in radians, and so little that a picture does not show it
         if 0 < abs(self.tilt_deg) < min(0.8, self.elevation_fov_deg / 10):
             yield (

@@ -1,5 +1,6 @@
 """Cross-talk: closed forms of a single bright beam and of an even fan, in the function and in pings."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -104,6 +105,20 @@ def test_interleaved_presets_name_their_transmissions():
     assert sg.load_sonar("p900-45").cross_talk_db is None
     assert sg.load_sonar("p900-45,cross_talk_db=-30,cross_talk_beams=6").cross_talk_beams == 6
     assert sg.load_sonar("didson-hf,cross_talk_db=none").cross_talk_db is None
+
+
+def test_sets_of_one_beam_are_warned_of():
+    """They have no cross-talk, whatever its level."""
+    with pytest.warns(UserWarning) as caught:
+        sonar = replace(SONAR, cross_talk_beams=48)
+    assert [str(one.message) for one in caught] == [
+        "sonar 'sets': cross_talk_beams = 48 leaves 48 beams without cross-talk; give fewer than 48, the number of "
+        "transmissions a frame, or set no cross_talk_db"
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        replace(sonar, cross_talk_beams=47)
+        replace(sonar, cross_talk_db=None)
 
 
 @pytest.mark.parametrize(

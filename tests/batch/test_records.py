@@ -9,6 +9,7 @@ import shutil
 from dataclasses import replace
 from itertools import product
 
+import llvmlite.binding
 import pytest
 
 import sonar_gl as sg
@@ -330,6 +331,16 @@ def test_a_plan_says_what_made_it(made):
         )
     import_versions = {name: __import__(name).__version__ for name in ("numpy", "numba")}
     assert {"numpy": system.numpy, "numba": system.numba} == import_versions
+
+
+def test_a_plan_says_on_what_processor_it_began_and_goes_on_with_another(made, half, monkeypatch):
+    begun = Manifest.load(Folder(half))
+    assert begun.processor == llvmlite.binding.get_host_cpu_name()
+    monkeypatch.setattr(parts_module, "processor", lambda: "generic")
+    assert replace(begun, processor="generic").identity == begun.identity
+    (half / BEGUN).unlink()
+    assert resume(made, half, "--mend")[0] == 0 and run("batch", "--check", half)[0] == 0
+    assert Manifest.load(Folder(half)) == replace(begun, processor="generic")
 
 
 def test_a_plan_that_is_missing_is_mended_or_the_message_says_how(made, half):

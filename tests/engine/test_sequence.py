@@ -378,6 +378,20 @@ def test_a_body_added_before_a_ping_without_an_echo_is_absent_from_it():
     assert not together[1].body_id.any()
 
 
+def test_a_plume_added_during_a_sequence_is_named_by_the_pings_that_have_it():
+    with simulator() as it:
+        pings = it.pings(POSES)
+        together = list(islice(pings, 2))
+        it.add(sg.Bubbles("plume", sg.pose(6, 1, -2)))
+        with pytest.warns(UserWarning, match="bodies were placed or added between two pings"):
+            together += pings
+        again = it.ping(POSES[0])
+    named = [ping.meta.get("plumes", []) for ping in [*together, again]]
+    n_old = named.index(["plume"])
+    assert 3 <= n_old <= 2 + 2 * sequence.BATCH
+    assert named == [[]] * n_old + [["plume"]] * (len(named) - n_old)
+
+
 def test_the_poses_may_come_from_a_generator_that_uses_the_simulator(it):
     """Each ping has the scene as it was when its pose came. The naive way holds the lock meanwhile, and hangs."""
     bodies = [{"box": sg.pose(6, 2 - 0.3 * k)} for k in range(11)]
@@ -447,6 +461,15 @@ def test_bodies_that_generators_place_are_not_warned_of(it):
         warnings.simplefilter("error")
         for _ in zip(it.pings(poses(2)), it.pings(poses(1)), strict=True):
             pass
+
+
+@pytest.mark.parametrize(("numba_num", "share", "n"), [(64, 3, 3), (64, 64, 8), (2, 64, 2), (6, 3, 6)])
+def test_threads_fill_the_share_of_time_of_a_container(monkeypatch, numba_num, share, n):
+    """Numba knows the cores of the machine alone; a number that is set counts."""
+    monkeypatch.setattr(ping_worker.numba.config, "NUMBA_DEFAULT_NUM_THREADS", 64)
+    monkeypatch.setattr(ping_worker.numba.config, "NUMBA_NUM_THREADS", numba_num)
+    monkeypatch.setattr(ping_worker, "count_cores", lambda: share)
+    assert ping_worker.n_threads() == n
 
 
 def test_a_sequence_that_ends_after_its_simulator_keeps_no_workers():

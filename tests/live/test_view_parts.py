@@ -211,6 +211,19 @@ def test_marks_lie_where_the_picture_shows_their_range_and_azimuth(fov_deg, form
             assert abs(bins.bin[at] - bin_) <= 1
 
 
+@pytest.mark.parametrize("height", [40, 57, 60, 90])
+def test_a_polar_picture_shows_each_beam_where_pixels_are_wider(height):
+    sonar = replace(SONAR, n_beams=60)
+    settings, ping = LiveSettings(sonar, form="polar", height=height, colormap="gray"), ping_of(sonar)
+    bins = pixel_bins(ping, settings)
+    for beam in range(60):
+        bright = np.zeros_like(ping.intensity)
+        bright[beam] = 1.0
+        columns = np.flatnonzero(picture_of(replace(ping, intensity=bright), settings).any(axis=(0, 2)))
+        assert len(columns), beam
+        assert (abs(bins.beam[0, columns] - beam) <= max(1, 60 / height)).all()
+
+
 @pytest.mark.parametrize("form", ["fan", "polar"])
 @pytest.mark.parametrize("fov_deg", [2.0, 15.0, 29.0, 45.0, 90.0, 130.0, 200.0, 359.0])
 def test_ranges_are_numbered_and_no_number_covers_another(fov_deg, form):

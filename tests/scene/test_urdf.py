@@ -76,12 +76,13 @@ def test_the_hint_about_large_angles_is_one_that_urdf_can_follow(tmp_path):
     """Its `<origin>` has no degrees; a `<pose>` of a sensor, which is SDF in a URDF file, has them."""
     text = f"""<robot name="r"><link name="a"><collision name="c"><origin rpy="0 0 90"/>{BOX}</collision></link>
       <link name="b"/><gazebo reference="b"><sensor name="sonar" type="custom"><pose>0 0 0 0 0 45</pose></sensor>
-      </gazebo></robot>"""
+      </gazebo><joint name="j"><parent link="a"/><child link="b"/><origin rpy="0 0 45"/></joint></robot>"""
     path = write(tmp_path / "r.urdf", text)
-    said = "1 pose has angles of more than 2.5π, read as radians, as by Gazebo; if they are degrees, "
+    said = "angles of more than 2.5π, read as radians, as by Gazebo; if they are degrees, "
     assert [one for one in load(path)[1] if "2.5π" in one] == [
-        f'{path}: {said}write <pose degrees="true"> (link[b]/sensor[sonar]/pose)',
-        f"{path}: {said}multiply them by π/180, as URDF has no degrees (link[a]/collision[c]/pose)",
+        f'{path}: 1 pose has {said}write <pose degrees="true"> (link[b]/sensor[sonar]/pose)',
+        f"{path}: 2 poses have {said}multiply them by π/180, as URDF has no degrees "
+        "(joint[j]/origin, link[a]/collision[c]/origin)",
     ]
 
 
