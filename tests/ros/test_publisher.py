@@ -509,6 +509,13 @@ def test_a_mistake_in_bodies_is_raised_by_its_step_and_loses_no_other(scene, loo
     assert seen_balls(loopback, [[2.5, -0.1, -2]])[-1] == [True]
 
 
+def test_a_model_without_bodies_is_named_as_one_by_its_step(scene, loopback):
+    scene = sg.Scene(scene.bodies, scene.sonar_pose, models={"rov": AT})
+    message = r"bodies of the scene \(got 'rov', a model without bodies"
+    with publisher_of(scene, loopback, rate_hz=10.0) as publisher, pytest.raises(Error, match=message):
+        publisher.step(0.06, AT, {"rov": AT})
+
+
 def test_a_ping_that_fails_at_poses_of_others_is_counted_and_at_the_callers_raised(
     scene, loopback, monkeypatch, caplog
 ):
