@@ -56,7 +56,8 @@ class StepResult:
     Attributes
     ----------
     has_pinged : whether it made a ping, or began one in the background
-    n_dropped : number of pings whose time passed between the steps, and that are left out
+    n_dropped : number of pings that are left out from this step on: their time passed between the steps, or they waited
+        for a ping in the background until the next one was due
     has_jumped : whether time jumped, so that the sonar's rate counts from this step on
     waits_for_pose : whether no pose has come yet
     """

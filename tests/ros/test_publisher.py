@@ -410,14 +410,17 @@ def test_in_the_background_a_slow_ping_holds_no_step_up(scene):
         assert publisher.step(0.0).has_pinged
         assert transport.holds.wait(WAIT_S)
         results = [publisher.step(k / 100) for k in range(1, 36)]  # each returns, though nothing is sent
-        assert not any(result.has_pinged or result.n_dropped for result in results)
+        assert not any(result.has_pinged for result in results)
+        # those of 0.1 and 0.2, at the times of the pings after them; that of 0.3 still waits
+        assert [k for k, result in enumerate(results, 1) if result.n_dropped] == [20, 30]
+        assert publisher.counts.dropped == 2
         clock = [message.clock.nanosec for message in transport.messages("/clock")]
         assert clock == list(range(0, 360_000_000, CLOCK_NS))
         transport.is_free.set()
         while not (result := publisher.step(0.36)).has_pinged:  # until the thread is done
             pass
-        assert result.n_dropped == 2  # those of 0.1 and 0.2; that of 0.3 is late by less than a period
-    assert publisher.counts.pings == 2
+        assert result.n_dropped == 0  # that of 0.3 is late by less than a period
+    assert (publisher.counts.pings, publisher.counts.dropped) == (2, 2)
     stamps = [m.header.stamp.nanosec for m in transport.messages("/sonar/projected_image")]
     assert stamps == [0, 360_000_000]
 
