@@ -196,8 +196,9 @@ class World:
     def _index_of(self, name, what: str, plumes=()) -> int:
         if name not in self._indices:
             models = self.scene.models if what == "bodies" else ()
-            known = {*self._indices, *plumes, *models}
-            raise unknown_body_error(name, known, f"{what} must be bodies of the scene")
+            empty = {model for model in models if not self.scene.parts_of(model)}
+            known = {*self._indices, *plumes, *models} - empty
+            raise unknown_body_error(name, known, f"{what} must be bodies of the scene", empty)
         return self._indices[name]
 
     def _reflectivity(self, changed) -> np.ndarray:
