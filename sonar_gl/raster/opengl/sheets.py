@@ -71,15 +71,21 @@ def draw_near(sheet: Sheet, matrix: np.ndarray, reach_m: float, row: np.ndarray)
     matrix : (3, 4) sonar_from_body, about the middle of the rectangle's box
     row : of `place_bodies`; its first 12 floats, the same matrix, are replaced if the rectangle reaches further
     """
-    foot = -sheet.axes @ (matrix[:, :3].T @ matrix[:, 3])
-    low = np.maximum(foot - reach_m, -sheet.half_sides)
-    high = np.minimum(foot + reach_m, sheet.half_sides)
-    if (low >= high).any() or (high - low == 2.0 * sheet.half_sides).all():
+    half_sides = sheet.half_sides.tolist()
+    if max(half_sides) <= reach_m:
         return
-    scales = (high - low) / (2.0 * sheet.half_sides)
-    near = np.eye(3, 4)
-    near[:, :3] += sheet.axes.T @ ((scales - 1.0)[:, None] * sheet.axes)
-    near[:, 3] = (low + high) / 2.0 @ sheet.axes
-    placed = matrix[:, :3] @ near
-    placed[:, 3] += matrix[:, 3]
-    row[:12] = placed.ravel()
+    turned, moved = matrix[:, :3], matrix[:, 3]
+    along = turned @ sheet.axes.T
+    middles, scales, is_whole = [], [], True
+    for foot, half in zip((-moved @ along).tolist(), half_sides, strict=True):
+        low, high = max(foot - reach_m, -half), min(foot + reach_m, half)
+        if low >= high:
+            return
+        is_whole &= high - low == 2.0 * half
+        middles.append((low + high) / 2.0)
+        scales.append((high - low) / (2.0 * half) - 1.0)
+    if is_whole:
+        return
+    placed = row[:12].reshape(3, 4)
+    placed[:, :3] = turned + along * scales @ sheet.axes
+    placed[:, 3] = moved + along @ middles
