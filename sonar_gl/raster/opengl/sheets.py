@@ -1,8 +1,8 @@
 """Rectangles, such as infinite planes, drawn no further than a sonar sees.
 
 OpenGL has the corners of triangles in single precision, where they lie before the sonar: to 6e-8 of their distance. The
-nearest corners of an infinite plane are up to 1.4 km away and off by 0.1 mm, in which direction ever, and so is the
-plane: a ten-thousandth of 1/x at a height of 1 m, and a hundredth at 1 cm.
+nearest corners of an infinite plane are up to 1.4 km away and off by 0.1 mm in any direction, and so is the plane: a
+ten-thousandth of 1/x at a height of 1 m, and a hundredth at 1 cm.
 """
 
 from __future__ import annotations
