@@ -37,6 +37,7 @@ class SectorView:
     geometry : tuple of SectorGeometry
     whole : Window of all its samples
     sample_rad : least width of a sample
+    furthest : length of the longest of its rays up to x = 1
     limits : tuple of DetailLimits
     """
 
@@ -46,6 +47,7 @@ class SectorView:
         ends = np.array([(i, j) for i in (-0.5, sector.columns - 0.5) for j in (-0.5, sector.rows - 0.5)])
         ends = ends @ sector.steps.T + corner
         self.sector, self.sample_rad = sector, min(u[1], v[2])
+        self.furthest = float(np.sqrt(1.0 + (ends * ends).sum(axis=1)).max())
         self.whole = Window(0, 0, sector.columns, sector.rows)
         self._last = self.whole, sector
         self.geometry = tuple(

@@ -16,6 +16,7 @@ from sonar_gl.gl.enums import CLIP_DISTANCE0
 from sonar_gl.gl.memory import check_driver, check_room, side_limit
 from sonar_gl.raster.opengl.buffers import SceneBuffers
 from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
+from sonar_gl.raster.opengl.sheets import FURTHEST, MARGIN, draw_near
 from sonar_gl.raster.views import (
     NO_BODIES,
     NO_PLANE,
@@ -234,6 +235,9 @@ class OpenGLRenderer:
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
         self._uniforms, self._workspace = {}, workspace
+        # the far plane lies across the middle of a sector, and so is further away in its corners
+        furthest = max((view.furthest for view in self._sectors), default=1.0)
+        self._reach_m = MARGIN * self._far_m * min(furthest, FURTHEST)
 
     def render(
         self,
@@ -247,6 +251,9 @@ class OpenGLRenderer:
         """Draw all sectors as seen from some poses, and read them back; see `raster.engine.Renderer.render`."""
         planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._workspace.draw_list
         bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
+        for number, sheet in self._buffers.uploaded.sheets.items():
+            for one in bodies:
+                draw_near(sheet, one.matrices[number], self._reach_m, one.rows[number])
         rows = bodies[0].rows if len(bodies) == 1 else np.concatenate([one.rows for one in bodies])
         targets = self._workspace.images(len(bodies), keep_last)
         out.clear()
