@@ -139,12 +139,7 @@ class Simulator:
         Plan, or None if the samples were given to begin with; those of image sources, which no sampling gives, are
             chosen for these poses also then
         """
-        per_ping = {
-            "bodies": ("bodies", bodies),
-            "time_s": ("times_s", times_s),
-            "reflectivity": ("reflectivities", reflectivities),
-            "water": ("waters", waters),
-        }
+        per_ping = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
         requests = list(requests_of(poses, per_ping))
         if not requests:
             raise Error("poses must hold at least one pose (got none)")
@@ -217,13 +212,8 @@ class Simulator:
         `add` between two pings that come out acts several pings later; a warning says so once. Where a pose depends
         on the pings before, use `ping`.
         """
-        per_ping = {
-            "bodies": ("bodies", bodies),
-            "time_s": ("times_s", times_s),
-            "velocity": ("velocities", velocities),
-            "reflectivity": ("reflectivities", reflectivities),
-            "water": ("waters", waters),
-        }
+        per_ping = {"bodies": bodies, "times_s": times_s, "velocities": velocities}
+        per_ping |= {"reflectivities": reflectivities, "waters": waters}
         common = {"noise": noise, "seed": seed, "labels": labels, "background": background}
         common["label_level_db"] = label_level_db
         yield from make_pings(self._run, requests_of(poses, per_ping, **common))

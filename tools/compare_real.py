@@ -17,7 +17,6 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -472,9 +471,9 @@ def setup_of(pings: list[RawPing]) -> Setup:
     return replace(setup, floor_counts=float(np.mean([ping.counts[region].mean() for ping in pings])))
 
 
-def read_record(path: Path = RECORD) -> tuple[Setup, Figures]:
+def read_record() -> tuple[Setup, Figures]:
     """Return the setup and the real figures that `write_record` wrote."""
-    record = json.loads(path.read_text(encoding="utf-8"))
+    record = json.loads(RECORD.read_text(encoding="utf-8"))
     setup = record["setup"]
     setup["beam_azimuths_deg"] = tuple(setup["beam_azimuths_deg"])
     return Setup(**setup), Figures(record["values"], record["patterns"])
@@ -491,21 +490,21 @@ def write_record(setup: Setup, real: Figures, path: Path = RECORD) -> None:
         Path(name).write_text(text + "\n", encoding="utf-8")
 
 
-def print_table(rows: list[Row], show: Callable[[str], None] = print) -> None:
+def print_table(rows: list[Row]) -> None:
     """Print the table, and why ours misses what it misses."""
-    show(f"{'':42}{'real':>8}{'ours':>8}{'theory':>8}{'off':>9}{'bound':>8}")
+    print(f"{'':42}{'real':>8}{'ours':>8}{'theory':>8}{'off':>9}{'bound':>8}")
     for row in rows:
         numbers = "".join("       -" if x is None else f"{x:8.2f}" for x in row[1:4])
         kind = "%" if "mean/std" in row.name else ""
         off, bound = (f"{100 * x:+.1f} %" if kind else f"{x:+.3f}" for x in (row.off, row.bound))
-        show(f"{row.name:42}{numbers}{off:>9}{bound[1:]:>8}  {'met' if row.met else 'missed'}")
+        print(f"{row.name:42}{numbers}{off:>9}{bound[1:]:>8}  {'met' if row.met else 'missed'}")
     missed = [row.name for row in rows if not row.met]
-    show(f"{len(rows) - len(missed)} of {len(rows)} bounds are met")
+    print(f"{len(rows) - len(missed)} of {len(rows)} bounds are met")
     reasons = [MISSES.get(name, UNKNOWN) for name in missed]
     for reason in dict.fromkeys(reasons):
-        show(f"missed: {reason}:")
+        print(f"missed: {reason}:")
         for name in (name for name, why in zip(missed, reasons, strict=True) if why == reason):
-            show(f"  {name}")
+            print(f"  {name}")
 
 
 def draw(picture: np.ndarray, setup: Setup) -> np.ndarray:

@@ -11,7 +11,7 @@ aside correlate by up to 0.01 too much, since the outermost of their waves count
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields, replace
 
 import numpy as np
@@ -145,18 +145,18 @@ def rows(count: int) -> Iterator[tuple[str, float, float]]:
     yield "place-locked, 0.25 c/2B forward", hamming_correlation(0.25) ** 2, forward
 
 
-def main(show: Callable[[str], None] = print) -> None:
+def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
         prog="python -m tools.noise_statistics", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--pings", type=int, default=1000)
     count = parser.parse_args().pings
-    show(f"{'':44}{'theory':>9}{'found':>9}{'off':>9}")
+    print(f"{'':44}{'theory':>9}{'found':>9}{'off':>9}")
     for name, wanted, found in rows(count):
         relative = not any(word in name for word in ("apart", "place-locked", "bias"))
         off = f"{100 * (found / wanted - 1):+.2f} %" if relative else f"{found - wanted:+.4f}"
-        show(f"{name:44}{wanted:9.4f}{found:9.4f}{off:>9}")
+        print(f"{name:44}{wanted:9.4f}{found:9.4f}{off:>9}")
 
 
 if __name__ == "__main__":

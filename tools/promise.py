@@ -31,6 +31,7 @@ from tools.bench import harness
 
 TOLERANCES = (0.05, 0.02, 0.01)
 ROUNDS = 4
+TRUTH_ERROR = 0.03
 MOST_RAYS = 60_000_000  # of a truth; more would change the verdict on the smallest bodies only
 
 
@@ -83,16 +84,15 @@ def profile_of(seed: int) -> sg.Acoustics:
     return sg.Acoustics.physical() if seed % 2 else sg.Acoustics.ideal()
 
 
-def try_alone(seed: int, tolerances=TOLERANCES, truth_error: float = 0.03) -> list[Outcome]:
+def try_alone(seed: int) -> list[Outcome]:
     """Return the Outcomes of one world whose ping chooses its samples alone; none if it returns no echo."""
     scene, sonar, pose = random_world(seed)
     acoustics, out = profile_of(seed), []
-    truth = sg.reference_ping(scene, sonar, pose, acoustics, truth_error, MOST_RAYS)
-    for tolerance in tolerances if truth.intensity.any() else ():
-        settings = {"tolerance": tolerance}
+    truth = sg.reference_ping(scene, sonar, pose, acoustics, TRUTH_ERROR, MOST_RAYS)
+    for tolerance in TOLERANCES if truth.intensity.any() else ():
         with (
-            sg.Simulator(scene, sonar, acoustics, **settings) as alone,
-            sg.Simulator(scene, sonar, acoustics, **settings) as planned,
+            sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as alone,
+            sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as planned,
         ):
             plan = planned.plan([pose])
             ping = internals.ping_alone(alone, pose, labels=True)
@@ -121,7 +121,7 @@ def try_alone(seed: int, tolerances=TOLERANCES, truth_error: float = 0.03) -> li
     return out
 
 
-def try_world(seed: int, tolerances=TOLERANCES, truth_error: float = 0.03, costs: bool = True):
+def try_world(seed: int, tolerances=TOLERANCES, truth_error: float = TRUTH_ERROR, costs: bool = True):
     """Return the Outcomes of one world; none if it returns no echo."""
     scene, sonar, pose = random_world(seed)
     acoustics = profile_of(seed)

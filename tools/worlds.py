@@ -23,6 +23,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 import sonar_gl as sg
+from tools.bench import harness
 
 PATTERNS = ("*.world", "*.sdf")
 REASONS = (  # what a message says, and the reason in the table; the first that matches
@@ -100,19 +101,15 @@ def commit_of(checkout: Path) -> str:
 
 def print_table(found: dict[Path, list[list[Opened]]]):
     """Print a row per checkout, and the reasons of all."""
-    print(
-        "| repository | files | load as they are | with resource paths | with `--skip-missing` | refused | crashes |"
-    )
-    print("|---|---|---|---|---|---|---|")
-    totals = Counter()
+    ways = "load as they are", "with resource paths", "with `--skip-missing`"
+    table, totals = [], Counter()
     for checkout, rows in found.items():
-        loaded = [sum(row[way].error is None for row in rows) for way in range(3)]
-        crashes = sum(opened.is_crash for row in rows for opened in row)
-        counts = [len(rows), *loaded, len(rows) - loaded[2], crashes]
-        totals.update(dict(enumerate(counts)))
-        name = " ".join(filter(None, [checkout.name, commit_of(checkout)]))
-        print("|", " | ".join([name, *map(str, counts)]), "|")
-    print("|", " | ".join(["all", *(str(totals[k]) for k in range(6))]), "|")
+        loaded = {way: sum(row[k].error is None for row in rows) for k, way in enumerate(ways)}
+        refused, crashes = len(rows) - loaded[ways[2]], sum(opened.is_crash for row in rows for opened in row)
+        counts = {"files": len(rows), **loaded, "refused": refused, "crashes": crashes}
+        totals.update(counts)
+        table.append({"repository": " ".join(filter(None, [checkout.name, commit_of(checkout)])), **counts})
+    print(harness.markdown([*table, {"repository": "all", **totals}]))
     for way, says in ((0, "as they are"), (2, "with `--skip-missing`")):
         reasons = Counter(
             reason_of(row[way].error) for rows in found.values() for row in rows if row[way].error

@@ -9,7 +9,7 @@ import numpy as np
 
 from sonar_gl.acoustics.sea_surface import rms_wave_height_m
 from sonar_gl.core.checks import check_choice, check_fields, check_number, make_numbers_plain, shown
-from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.warn import warn_caller
@@ -261,8 +261,7 @@ class Water:
                 f"water must be a Water, or a table such as {{ temperature_c = 4 }} (got {shown(values)})"
             )
         for key in values:
-            if key not in known:
-                raise Error(f"water: unknown key (got {shown(key)}; {nearest_names(str(key), known)})")
+            check_choice("key", key, known, "water")
         return replace(self, **values)
 
     def absorption(self, frequency_hz: float) -> float:

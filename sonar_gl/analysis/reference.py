@@ -90,12 +90,11 @@ def reference_ping(
     """
     acoustics = _check(scene, sonar, acoustics, error, max_rays)
     check_known(acoustics)
-    _check_bubbles(scene, acoustics)
-    _check_surface(scene, acoustics)
+    _check_contents(scene, acoustics)
     pose, seed = check_pose(pose), check_whole_number("seed", seed)
     ray_scene = RayScene(scene, sonar.head_pose(pose), acoustics.specular)
     fan = _make_fan(sonar, acoustics)
-    report = _Progress(progress or _ignore)
+    report = _Progress(progress or (lambda cast, expected: None))
     halves = [_Half(ray_scene, fan, key, report) for key in np.random.SeedSequence(seed).spawn(2)]
     found = _refine(halves, fan, error, max_rays) if scene.bodies else _Convergence(0, 0.0, 0.0)
     if found.difference > error / AGREEMENT:
@@ -139,10 +138,6 @@ def reference_ping(
         sonar=sonar,
         acoustics=acoustics,
     )
-
-
-def _ignore(_cast: int, _expected: int) -> None:
-    """Report nothing."""
 
 
 class _Progress:
@@ -190,22 +185,18 @@ def check_known(acoustics: Acoustics) -> None:
         )
 
 
-def _check_surface(scene: Scene, acoustics: Acoustics) -> None:
-    """Raise an Error if the water's surface scatters: rays end there."""
+def _check_contents(scene: Scene, acoustics: Acoustics) -> None:
+    """Raise an Error if the acoustics include bubbles, which rays do not meet, or a surface that scatters."""
+    if scene.plumes and acoustics.bubbles:
+        raise Error(
+            f"the reference does not model bubbles (got {scene.plumes[0].name!r} in the scene; leave them out of "
+            "both pings by acoustics with bubbles=False)"
+        )
     wind_speed_m_s = acoustics.water.wind_speed_m_s
     if scene.surface_z_m is not None and acoustics.surface_reverberation and wind_speed_m_s is not None:
         raise Error(
             "the reference does not model the backscatter of the water's surface (got wind_speed_m_s = "
             f"{wind_speed_m_s:g}; give surface_reverberation=False)"
-        )
-
-
-def _check_bubbles(scene: Scene, acoustics: Acoustics) -> None:
-    """Raise an Error if the acoustics include the scene's bubble plumes: rays meet no bubbles."""
-    if scene.plumes and acoustics.bubbles:
-        raise Error(
-            f"the reference does not model bubbles (got {scene.plumes[0].name!r} in the scene; leave them out of "
-            "both pings by acoustics with bubbles=False)"
         )
 
 

@@ -45,15 +45,16 @@ class Term:
     Attributes
     ----------
     name : as in reports
-    on : function (acoustics, noise) -> fields that switch the term on; {} if it is on
-    off : fields that switch it off
+    is_on : function (acoustics, noise) -> whether it is on
+    on, off : fields that switch it on, and off
     of_noise, of_water : True if these are fields of Noise or of Water; else they are of Acoustics
     acts_in : function Scene -> False if the scene has nothing that the term could act on
     acts_with : function (acoustics, sonar) -> False if the term does not act in such water or with such a sonar
     """
 
     name: str
-    on: Callable[[Acoustics, Noise], dict]
+    is_on: Callable[[Acoustics, Noise], bool]
+    on: dict
     off: dict
     of_noise: bool = False
     of_water: bool = False
@@ -71,35 +72,28 @@ class Term:
 
 def _of_acoustics(name: str, field: str, on=True, off=False, **acts) -> Term:
     """Return a term that a field of Acoustics switches by two values; `acts` : fields `acts_in` and `acts_with`."""
-
-    def switched_on(acoustics, noise) -> dict:
-        return {field: on} if getattr(acoustics, field) == off else {}
-
-    return Term(name, switched_on, {field: off}, **acts)
-
-
-def _absorption_on(acoustics, noise) -> dict:
-    return {"absorption_db_m": None} if acoustics.water.absorption_db_m == 0 else {}
-
-
-def _speckle_on(acoustics, noise) -> dict:
-    return {} if noise.speckle else {"speckle": True, "follow_motion": Noise.physical().follow_motion}
-
-
-def _receiver_noise_on(acoustics, noise) -> dict:
-    return {} if noise.has_receiver_noise else {"self_noise": True}
+    return Term(
+        name, lambda acoustics, _: getattr(acoustics, field) != off, {field: on}, {field: off}, **acts
+    )
 
 
 SPECKLE = Term(
     "speckle",
-    on=_speckle_on,
+    is_on=lambda acoustics, noise: noise.speckle,
+    on={"speckle": True, "follow_motion": Noise.physical().follow_motion},
     off={"speckle": False, "looks": 1, "follow_motion": False},
     of_noise=True,
 )
 # all are on in the profile "physical" and in `Noise.physical`, but multipath, which no profile has
 TERMS = (
     # without absorption the TVG remains as it is, so one that assumes the right absorption assumes none
-    Term("absorption", on=_absorption_on, off={"absorption_db_m": 0.0}, of_water=True),
+    Term(
+        "absorption",
+        is_on=lambda acoustics, noise: acoustics.water.absorption_db_m != 0,
+        on={"absorption_db_m": None},
+        off={"absorption_db_m": 0.0},
+        of_water=True,
+    ),
     _of_acoustics("azimuth pattern", "beam_pattern", "line_array", "box"),
     _of_acoustics(
         "conical beams",
@@ -134,7 +128,8 @@ TERMS = (
     SPECKLE,
     Term(
         "receiver noise",
-        on=_receiver_noise_on,
+        is_on=lambda acoustics, noise: noise.has_receiver_noise,
+        on={"self_noise": True},
         off={"self_noise": False, "thermal_noise": False, "ambient_db": None},
         of_noise=True,
     ),
@@ -187,7 +182,8 @@ STATED_TERMS = (
 def everything_on(acoustics: Acoustics, noise: Noise) -> tuple[Acoustics, Noise]:
     """Return both with every term on; a term that is on stays as it is."""
     for term in TERMS:
-        acoustics, noise = term.changed(acoustics, noise, term.on(acoustics, noise))
+        if not term.is_on(acoustics, noise):
+            acoustics, noise = term.changed(acoustics, noise, term.on)
     return acoustics, noise
 
 

@@ -52,18 +52,14 @@ class Cluster:
 
     def call(self, name: str, *arguments):
         """Run one of `parts.STEPS` on a worker, and return its result."""
-        results = []
-        run_on_cluster(
-            self._address,
-            partial(_run_step, *self.arguments, name, arguments),
-            [0],
-            lambda _number, result: results.append(result),
-            lambda _number, why: results.append(
-                MachineError(f"workers must live (in the step {name!r} {why}; try again by --resume)")
-            ),
-        )
-        if isinstance(results[0], Error):
-            raise results[0]
+        results, make = [], partial(_run_step, *self.arguments, name, arguments)
+
+        def give_up(_number, why):
+            raise MachineError(
+                f"workers must live (in the step {name!r} {why}; try again by --resume)"
+            ) from None
+
+        run_on_cluster(self._address, make, [0], lambda _number, result: results.append(result), give_up)
         return results[0]
 
     def run_parts(

@@ -13,10 +13,10 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from sonar_gl.core.checks import is_finite
-from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.checks import check_choice, is_finite
+from sonar_gl.core.errors import Error, errors_at, nearest_names, nearest_of_many
 from sonar_gl.core.extras import missing_module
-from sonar_gl.core.names import matching_names
+from sonar_gl.core.names import names_of
 from sonar_gl.core.poses import check_pose, pose
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, colours
@@ -464,8 +464,7 @@ def check_keys(kind: type, table: Mapping, where: str) -> None:
         for field in dataclasses.fields(kind)
     }
     for key in table:
-        if key not in needed:
-            raise Error(f"{where}: unknown key (got {key!r}; {nearest_names(key, needed)})")
+        check_choice("key", key, needed, where)
     if missing := [key for key, is_needed in needed.items() if is_needed and key not in table]:
         raise Error(f"{where}: {' and '.join(missing)} must be given")
 
@@ -482,9 +481,8 @@ def build(kind: type, table: Mapping, where: str):
 
 def check_patterns(patterns: Iterable[str], names: Iterable[str], where: str) -> None:
     """Raise an Error for a pattern that matches no name."""
-    names = list(names)
+    names = set(names)
     for pattern in patterns:
-        if not matching_names([pattern], names):
-            raise Error(
-                f"{where} must name bodies of the scene (got {pattern!r}; {nearest_names(pattern, names)})"
-            )
+        if not names_of(pattern, names):
+            hint = nearest_of_many(pattern, names)
+            raise Error(f"{where} must name bodies of the scene (got {pattern!r}; {hint})")

@@ -50,6 +50,7 @@ class Manifest:
     system : OpenGL and libraries that began the batch
     files : `Schema.files`, by which a changed file is named
     version : version of sonar_gl that began it
+    processor : kind of the processor that began it; parts may be made by others
     """
 
     job: dict
@@ -59,6 +60,7 @@ class Manifest:
     system: System
     files: dict[str, str]
     version: str = __version__
+    processor: str = ""
 
     @property
     def n_parts(self) -> int:
@@ -70,7 +72,8 @@ class Manifest:
 
         Job and files are in it by the digest, which does not depend on where they are.
         """
-        values = {key: value for key, value in asdict(self).items() if key not in ("job", "files")}
+        left_out = "job", "files", "processor"
+        values = {key: value for key, value in asdict(self).items() if key not in left_out}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     def changed_files(self, files: dict[str, str]) -> list[str]:

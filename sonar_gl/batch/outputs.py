@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import chain
 from operator import itemgetter
@@ -260,16 +260,6 @@ class CocoOutput(CountsOutput):
         return f"coco/{sonar}/parts/{part:07d}.jsonl"
 
 
-@dataclass(frozen=True, eq=False)
-class OpticalFrame:
-    """An image of the camera on the vehicle: world_from_camera (4, 4), RGB (H, W, 3), depth (H, W) metres or NaN."""
-
-    request: BatchRequest
-    pose: np.ndarray
-    rgb: np.ndarray
-    depth_m: np.ndarray
-
-
 class OpticalOutput(Output):
     """RGB and depth of a camera on the vehicle.
 
@@ -279,19 +269,19 @@ class OpticalOutput(Output):
 
     Attributes
     ----------
-    frames : number of the ping -> OpticalFrame, for the pings of the part, if the job has a ROS bag
+    records : number of the ping -> CameraRecord, for the pings of the part, if the job has a ROS bag
     """
 
     def __init__(self, *context, device: int | None = None):
         super().__init__(*context)
         table, self._device = self.job.optical, device
         self.camera = Camera.of_fov(table.width, table.height, fov_x_rad=table.fov_x_rad)
-        self.frames = {}
+        self.records = {}
         self._mount, self._scene, self._renderer = make_pose(*table.mount), None, None
 
     def begin(self, part, numbers):
         super().begin(part, numbers)
-        self.frames = {}
+        self.records = {}
 
     def add(self, request, sonar, ping, quiet):
         if sonar != next(iter(self.requests.sonars)):  # one image for all sonars
@@ -303,15 +293,16 @@ class OpticalOutput(Output):
             scene = self.requests.scene(request.scene)
             self._renderer = OpticalCamera(scene, self.camera, device=self._device)
         pose = request.vehicle_pose @ self._mount
-        known = {body.name for body in self.requests.scene(request.scene).bodies}
-        rgb, depth_m = self._renderer(pose, {n: at for n, at in request.bodies.items() if n in known})
+        rgb, depth_m = self._renderer(pose, request.bodies)
         millimetres = np.where(depth_m < MAX_DEPTH_M, np.rint(1e3 * depth_m), 0).astype(np.uint16)
         self.put(ping_file("optical/rgb", request.number, "png"), png_bytes(rgb))
         self.put(ping_file("optical/depth", request.number, "png"), png_bytes(millimetres))
         if self.job.ros is not None:
             # a finite depth is a point to readers of ROS, 0 one at the camera (REP 118)
             seen_m = np.where(depth_m > 0, depth_m, np.float32(np.nan))
-            self.frames[request.number] = OpticalFrame(request, pose, rgb, seen_m)
+            self.records[request.number] = CameraRecord(
+                request.time_s, "camera", pose, self.camera.intrinsics, rgb, seen_m, request.vehicle_pose
+            )
 
 
 class RosOutput(CountsOutput):
@@ -341,13 +332,7 @@ class RosOutput(CountsOutput):
         self._records.append((request.number, record))
 
     def end(self):
-        for number, frame in self._optical.frames.items() if self._optical else ():
-            request, intrinsics = frame.request, self._optical.camera.intrinsics
-            record = CameraRecord(
-                request.time_s, "camera", frame.pose, intrinsics, frame.rgb, frame.depth_m,
-                request.vehicle_pose,
-            )  # fmt: skip
-            self._records.append((number, record))
+        self._records += self._optical.records.items() if self._optical else ()
         if self._records:
             self._records.sort(key=itemgetter(0))
             self.names.append(self._part_name(self.part))

@@ -39,7 +39,7 @@ from sonar_gl.batch.store import (
     rows_to_bytes,
     shared_files,
 )
-from sonar_gl.batch.system import System
+from sonar_gl.batch.system import System, processor
 from sonar_gl.core.errors import Error, is_out_of_memory
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.pipeline import make_ping
@@ -124,7 +124,8 @@ def begin(batch: Batch, report: Report = no_report) -> Manifest:
     try_outputs(batch.requests, schema, batch.folder)
     n_pings = len(batch.requests)
     per_part = job.pings_per_part or default_pings_per_part(schema.bytes_per_ping, n_pings)
-    return Manifest(job.plain, schema.digest, n_pings, per_part, system, schema.files)
+    made_of = schema.digest, n_pings, per_part, system, schema.files
+    return Manifest(job.plain, *made_of, processor=processor())
 
 
 def create_store(batch: Batch, report: Report = no_report) -> None:

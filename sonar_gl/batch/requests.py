@@ -6,7 +6,7 @@ import math
 import os
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +15,10 @@ from sonar_gl.acoustics.acoustics import Acoustics, check_moved
 from sonar_gl.acoustics.water import Water
 from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, split_sonar
 from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
-from sonar_gl.core.checks import shown
-from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.checks import check_choice, shown
+from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
-from sonar_gl.core.names import matching_names
+from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.core.poses import MAX_TIME_S
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.request import PingRequest
@@ -358,7 +358,8 @@ def _names(scene: Scene) -> list[str]:
 
 def _matched(patterns: list[str], scene: Scene) -> list[str]:
     """Return those patterns that match something in a scene."""
-    return [pattern for pattern in patterns if matching_names([pattern], _names(scene))]
+    names = set(_names(scene))
+    return [pattern for pattern in patterns if names_of(pattern, names)]
 
 
 def _draw(random, value) -> float:
@@ -444,20 +445,14 @@ def _load_noise(job: Job) -> Noise:
     if not isinstance(preset, str) or preset not in PRESETS:
         raise Error(f"{where}.preset must be one of {', '.join(PRESETS)} (got {shown(preset)})")
     check_moved_amounts(where, settings)
-    return build(Noise, _fields_of(PRESETS[preset]) | settings, where)
-
-
-def _fields_of(record) -> dict:
-    return {field.name: getattr(record, field.name) for field in fields(record)}
+    return build(Noise, asdict(PRESETS[preset]) | settings, where)
 
 
 def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
     """Check the tables vary.water and vary.noise, and that both ends of their ranges are allowed."""
     where, vary = job.where, job.vary
     for key in vary.water:
-        if key not in VARIED_WATER:
-            hint = nearest_names(key, VARIED_WATER)
-            raise Error(f"{where}: vary.water: unknown key (got {key!r}; {hint})")
+        check_choice("key", key, VARIED_WATER, f"{where}: vary.water")
     check_moved_amounts(f"{where}: vary.noise", vary.noise)
     if "median" in vary.noise:
         raise Error(f"{where}: vary.noise: median cannot vary; set it in the table noise (got it here)")
@@ -468,7 +463,7 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
                 if value != int(value):
                     raise Error(f"{where}: vary.noise.{WHOLE_NOISE} must be whole numbers (got {value:g})")
                 values[WHOLE_NOISE] = int(value)
-            build(type(base), _fields_of(base) | values, f"{where}: vary.{name}")
+            build(type(base), asdict(base) | values, f"{where}: vary.{name}")
     if vary.water and acoustics.sonar_sound_speed_m_s is not None:
         raise Error(
             f"{where}: vary.water and acoustics.sonar_sound_speed_m_s exclude each other (got both; ranges "

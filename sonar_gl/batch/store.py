@@ -209,9 +209,11 @@ def shared_files(folder: Folder, part_arrays: set[str]) -> list[str]:
         place = "/".join(filter(None, (STORE_NAME, group.path)))
         out.append(f"{place}/zarr.json")
         for name in group.array_keys():
+            if name in part_arrays:  # which may have a million shards
+                out.append(f"{place}/{name}/zarr.json")
+                continue
             inner = folder.fs.find(folder.path(f"{place}/{name}"))
-            inner = [path[len(folder.root) + 1 :] for path in inner]
-            out += [path for path in inner if name not in part_arrays or path.endswith("zarr.json")]
+            out += [path[len(folder.root) + 1 :] for path in inner]
     return out
 
 
@@ -240,22 +242,20 @@ class PingTable:
     def __init__(self, requests: BatchRequests):
         job, self._requests = requests.job, requests
         self.water, self.noise = sorted(job.vary.water), sorted(job.vary.noise)
-        self.moved, self.with_reflectivity, known = [], [], {}
+        moved, with_reflectivity, known = {}, {}, {}  # the first two in the place of ordered sets
         for scene in range(len(job.scenes)) if job.vary.bodies else ():
             known |= requests.bodies_and_plumes(scene)
             for k, table in enumerate(job.vary.bodies):
                 bodies = [(scene, name) for name in requests.moved_names(scene, k)]
-                self.moved += [body for body in bodies if body not in self.moved]
+                moved |= dict.fromkeys(bodies)
                 if table.reflectivity is not None:
-                    new = [body for body in bodies if body not in self.with_reflectivity]
-                    self.with_reflectivity += new
+                    with_reflectivity |= dict.fromkeys(bodies)
+        self.moved, self.with_reflectivity = list(moved), list(with_reflectivity)
         for k, table in enumerate(job.vary.bodies):
             check_patterns(table.names, known, f"{job.where}: vary.bodies[{k}].names")
         widths = {"status": 1, "scene": 1, "time_s": 1, "pose": MATRIX}
-        widths |= {("has_echo", sonar): 1 for sonar in requests.sonars}
-        widths |= {("echo", sonar): 1 for sonar in requests.sonars}
-        widths |= {("error_estimate", sonar): 1 for sonar in requests.sonars}
-        widths |= {("sampling", sonar): 2 for sonar in requests.sonars}  # columns per beam, rows
+        for name, width in (("has_echo", 1), ("echo", 1), ("error_estimate", 1), ("sampling", 2)):
+            widths |= {(name, sonar): width for sonar in requests.sonars}  # sampling: columns per beam, rows
         widths |= {"water": len(self.water), "noise": len(self.noise)}
         widths |= {"moved": len(self.moved) * AFFINE, "reflectivity": len(self.with_reflectivity)}
         self._columns, self.width = {}, 0

@@ -6,6 +6,7 @@ import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
+import llvmlite.binding
 import numba
 import numpy as np
 
@@ -17,7 +18,8 @@ class System:
     """What may change pings by rounding, from one machine or day to another.
 
     Libraries that draw or encode what was computed, such as OpenCV and Zarr, are not among it. Nor is the
-    processor, so that a cluster may have several kinds: it may change the last bits of echo and noise.
+    processor, so that a cluster may have several kinds: it may change the last bits of echo and noise. The manifest
+    names that which began the batch, see `processor`.
 
     Attributes
     ----------
@@ -45,3 +47,8 @@ class System:
                 f"otherwise (got {', '.join(changed)} on {platform.node()}; restore these, give another folder, "
                 "or accept other last bits by --any-system)"
             )
+
+
+def processor() -> str:
+    """Return the kind of this processor, for which Numba compiles, by LLVM's name of it, such as "znver4"."""
+    return numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()

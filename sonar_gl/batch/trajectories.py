@@ -375,11 +375,8 @@ class RandomViews(EvenTrajectory):
         sine, (start, stop) = low + (high - low) * u[4], self.azimuth_rad
         azimuth = start + (stop - start) * u[5]
         horizontal_m = range_m * math.sqrt(1 - sine * sine)
-        x, y, z = (
-            x + horizontal_m * math.cos(azimuth),
-            y + horizontal_m * math.sin(azimuth),
-            z + range_m * sine,
-        )
+        x, y = x + horizontal_m * math.cos(azimuth), y + horizontal_m * math.sin(azimuth)
+        z += range_m * sine
         out = pose(x, y, z, 0.0, math.asin(sine), math.remainder(azimuth + math.pi, 2 * math.pi))
         limits = self.azimuth_jitter_rad, self.elevation_jitter_rad, self.roll_jitter_rad
         left, up, roll = ((2 * share - 1) * limit for share, limit in zip(u[6:], limits, strict=True))

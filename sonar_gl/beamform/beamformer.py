@@ -14,7 +14,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.labels import Labeller, Labels, bins_of_bodies
-from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
+from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace, blocks_of
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
@@ -144,33 +144,34 @@ def beam_weights(
     first, last = np.maximum(first, 0), np.minimum(last, len(edges) - 1)
     width = int((last - first).max())
     first = np.minimum(first, len(edges) - 1 - width)
-    low = edges[first[:, None] + np.arange(width)] - axes[:, None]
-    high = edges[first[:, None] + np.arange(width) + 1] - axes[:, None]
-    if not whole_columns:
-        low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
-    received = high - low
     nodes, node_weights = np.polynomial.legendre.leggauss(n_nodes)
-    steer, power = axes[:, None, None], 1.0
-    azimuths = steer + low[..., None] + received[..., None] * (nodes + 1) / 2
-    if pattern is not None:
-        power = pattern(azimuths, steer)
-        received = received * (power @ (node_weights / 2))
     height = 2 * fan.max_sine
     if elevation_pattern is not None:
         sines = fan.max_sine * np.linspace(-1, 1, 2 * elevations_of(fan) - 1)[1::2]
         height *= elevation_pattern(sines).mean()
     columns_sr = np.diff(fan.column_edges_rad) * height
-    of_beams = (first[:, None] - origin + np.arange(width)) % n_columns
     if fan.are_cones:
         columns_sr = np.diff(fan.column_edges_rad) * _cone_heights(fan, elevation_pattern)
     # an upright column of the same width holds as much of the elevation pattern
     as_upright = columns_sr / (np.diff(fan.column_edges_rad) * height)
-    width_rad = (received * as_upright[of_beams]).sum(axis=1)
-    if transmit_pattern is not None:
-        received = (high - low) * ((power * transmit_pattern(azimuths)) @ (node_weights / 2))
-    # the sums of a column hold its whole width in azimuth
-    share = received / np.diff(edges)[first[:, None] + np.arange(width)]
-    weights = np.ascontiguousarray(share / (width_rad * height)[:, None], np.float32)
+    widths = np.diff(edges)
+    weights, width_rad = np.empty((len(axes), width), np.float32), np.empty(len(axes))
+    for beams in blocks_of(len(axes), width * n_nodes):
+        axis, columns = axes[beams, None], first[beams, None] + np.arange(width)
+        low, high = edges[columns] - axis, edges[columns + 1] - axis
+        if not whole_columns:
+            low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
+        received = high - low
+        steer, power = axis[..., None], 1.0
+        azimuths = steer + low[..., None] + received[..., None] * (nodes + 1) / 2
+        if pattern is not None:
+            power = pattern(azimuths, steer)
+            received = received * (power @ (node_weights / 2))
+        width_rad[beams] = (received * as_upright[(columns - origin) % n_columns]).sum(axis=1)
+        if transmit_pattern is not None:
+            received = (high - low) * ((power * transmit_pattern(azimuths)) @ (node_weights / 2))
+        # the sums of a column hold its whole width in azimuth
+        weights[beams] = received / widths[columns] / (width_rad[beams] * height)[:, None]
     return BeamWeights(first - origin, weights, width_rad, height, columns_sr)
 
 
@@ -315,7 +316,7 @@ class Beamformer:
         sines = np.linspace(-1, 1, elevations_of(fan))
         is_even = elevation_pattern is None
         self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
-        self._tiles, self._columns_sr = tuple(weights.tiles), weights.columns_sr
+        self._weights, self._tiles = weights, tuple(weights.tiles)
         self._parts = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
         # the fan may be higher, to hold the side lobes of the pattern
         is_main_lobe = self.elevation_table > HALF_POWER_TWO_WAY
@@ -324,7 +325,7 @@ class Beamformer:
         self._spread = fan.sampling.reducer == "footprint"
         self._far = far_lobes
         # far side lobes receive all columns
-        received = np.ones(fan.n_columns, bool) if far_lobes else weights.received(fan.n_columns)
+        received = np.ones(fan.n_columns, bool) if far_lobes else weights.received
         n_columns, n_wide, edges = fan.n_columns, fan.n_wide_columns, fan.wide_edges
         # columns, and wide columns
         self._halves = tuple(
@@ -338,7 +339,6 @@ class Beamformer:
             [_strips_within(sector.strips, half, received) for sector in fan.sectors] for half in self._halves
         )
         self._wide_shares = fan.wide_shares
-        self._weights = weights
 
     @cached_property
     def mirrored_strips(self) -> tuple:
@@ -375,7 +375,7 @@ class Beamformer:
         columns = self._column_sums()
         # spans first: what lies outside of them is never cleared, should an interrupt come between
         columns.spans[:] = 0, columns.sums.shape[1]
-        columns.sums[:] = self._columns_sr[:, None]
+        columns.sums[:] = self._weights.columns_sr[:, None]
         response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
         columns.sums[:] = 0
         columns.spans[:] = columns.sums.shape[1], 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +14,7 @@ from sonar_gl.core.array_pool import ArrayPools
 # Initial room of labels: bodies in a column, runs of bins, numbers. Where it is too small, samples are summed twice;
 # what is not used takes no memory.
 SLOTS, RUNS, POOL = 16, 1 << 14, 1 << 22
+BLOCK = 1 << 18  # numbers of `blocks_of`: 2 MB; the weights of most devices fill less, or little more
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +48,21 @@ class BeamWeights:
         columns = self.first[:, None] + np.arange(self.weights.shape[1])
         return np.bincount((columns % n_columns).ravel(), self.weights.ravel(), n_columns)
 
-    def received(self, n_columns: int) -> np.ndarray:
-        """Return (n_columns,) bool: which columns of the fan any beam receives."""
-        out = np.zeros(n_columns, bool)
-        columns = self.first[:, None] + np.arange(self.weights.shape[1])
-        out[columns[self.weights > 0] % n_columns] = True
+    @cached_property
+    def received(self) -> np.ndarray:
+        """Which columns of the fan any beam receives: (C,) bool, read-only."""
+        out = np.zeros(len(self.columns_sr), bool)
+        for beams in blocks_of(*self.weights.shape):
+            columns = self.first[beams, None] + np.arange(self.weights.shape[1])
+            out[columns[self.weights[beams] > 0] % len(out)] = True
+        out.setflags(write=False)
         return out
+
+
+def blocks_of(n_beams: int, n_each: int) -> Iterator[slice]:
+    """Yield beams, as many at a time as have BLOCK numbers together, of n_each: all of them would fill gigabytes."""
+    step = max(BLOCK // n_each, 1)
+    yield from (slice(first, first + step) for first in range(0, n_beams, step))
 
 
 @dataclass(frozen=True, eq=False)

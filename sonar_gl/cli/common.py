@@ -17,7 +17,7 @@ from sonar_gl.acoustics.water import DEFAULT_WATER, Water
 from sonar_gl.cli.options import POSE
 from sonar_gl.cli.output import echo
 from sonar_gl.core.checks import check_number
-from sonar_gl.core.errors import Error
+from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.poses import pose, read_poses
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
@@ -111,26 +111,23 @@ def poses_from(options, scene: Scene) -> tuple[np.ndarray | None, list | np.ndar
     if options.poses is not None:
         return read_poses(options.poses)
     if options.pose is not None:
-        values = parse_numbers("--pose", options.pose, "x y z roll pitch yaw")
-        try:
-            return None, [pose(*values)]
-        except Error as why:
-            raise Error(f"--pose {options.pose!r}: {why}") from None
+        return None, [_parse_pose(options.pose)]
     if scene.sonar_pose is None:
         raise Error(f"scene {scene.name!r} has no sonar in it; give its place with --pose {POSE}")
     return None, [scene.sonar_pose]
 
 
-def parse_numbers(option: str, text: str, names: str) -> list[float]:
-    """Return the numbers in the text of an option, one for each word of `names`."""
-    count = len(names.split())
+def _parse_pose(text: str) -> np.ndarray:
+    """Return the (4, 4) pose in the text of --pose."""
+    must = "--pose must be 6 numbers, 'x y z roll pitch yaw'"
     try:
         values = [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
-        raise Error(f"{option} must be {count} numbers, {names!r} (got {text!r})") from None
-    if len(values) != count:
-        raise Error(f"{option} must be {count} numbers, {names!r} (got {len(values)}: {text!r})")
-    return values
+        raise Error(f"{must} (got {text!r})") from None
+    if len(values) != 6:
+        raise Error(f"{must} (got {len(values)}: {text!r})")
+    with errors_at(f"--pose {text!r}"):
+        return pose(*values)
 
 
 def check_duration(options) -> None:

@@ -64,18 +64,19 @@ def examine() -> list[Finding]:
     python = f"{platform.python_version()}, {platform.system()} {platform.machine()}, {sys.prefix}"
     found = [Finding("sonar_gl", True, __version__), Finding("Python", True, python)]
     found += [check_package(module, name) for module, name in PACKAGES]
+    # each loads `system_checks` by itself, which fails without a package
     for what, check, cure in (
-        ("pyrender", _later("check_pyrender"), pip_install("pyrender")),
+        ("pyrender", lambda: cli.system_checks.check_pyrender(), pip_install("pyrender")),
         ("embreex", check_embreex, install_command("reference")),
         ("shaders", check_shaders, INSTALL_AGAIN),
-        ("scenes", _later("check_scenes"), INSTALL_AGAIN),
-        ("EGL", _later("check_egl"), ""),
-        ("OpenGL", _later("check_opengl"), ""),  # the message holds the cure
-        ("engine", _later("check_raster_engine"), ""),
-        ("compiled functions", _later("check_compiled_functions"), ""),
+        ("scenes", lambda: cli.system_checks.check_scenes(), INSTALL_AGAIN),
+        ("EGL", lambda: cli.system_checks.check_egl(), ""),
+        ("OpenGL", lambda: cli.system_checks.check_opengl(), ""),  # the message holds the cure
+        ("engine", lambda: cli.system_checks.check_raster_engine(), ""),
+        ("compiled functions", lambda: cli.system_checks.check_compiled_functions(), ""),
         (
             "known scene",
-            _later("check_known_scene"),
+            lambda: cli.system_checks.check_known_scene(),
             "correct the failures above; if there are none, report this",
         ),
     ):
@@ -86,11 +87,6 @@ def examine() -> list[Finding]:
         except Exception as why:  # the check reports whatever does not work
             found.append(Finding(what, False, " ".join(str(why).split()), cure))
     return found
-
-
-def _later(name: str):
-    """Return a function that loads `system_checks` and runs one of its checks."""
-    return lambda: getattr(cli.system_checks, name)()
 
 
 def report_text(found: list[Finding]) -> str:

@@ -21,7 +21,7 @@ import click
 
 from sonar_gl import cli
 from sonar_gl._version import __version__
-from sonar_gl.cli.options import DEVICE, ENGINE, PathText, option, ping_options
+from sonar_gl.cli.options import DEVICE, ENGINE, LIVE_OPTIONS, PathText, option, ping_options
 from sonar_gl.cli.output import echo
 from sonar_gl.core.atomic_file import check_output_file
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError
@@ -166,7 +166,6 @@ Examples:
 
 @main.command(epilog=RENDER_EXAMPLES, short_help="Make pings of a scene, and pictures of them.")
 @ping_options(
-    poses={"type": PathText()},
     profile={
         "type": click.Choice(("ideal", "demarco2015", "physical")),
         "show_default": "physical; demarco2015 in that style",
@@ -216,7 +215,7 @@ Exit status: 0 the tolerance was kept, 1 it was not, 2 a mistake in the command 
 
 
 @main.command(epilog=VERIFY_EPILOG, short_help="Say how far a ping is from the truth.")
-@ping_options(height={"type": int, "default": 600}, out={"default": ".", "type": PathText()})
+@ping_options(poses=None, height={"type": int, "default": 600}, out={"default": ".", "type": PathText()})
 @click.pass_context
 def verify(ctx, scene, **options):
     """Compare a ping of SCENE with the same integral by millions of rays, and draw the difference.
@@ -244,7 +243,7 @@ Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake in the command
 
 
 @main.command(epilog=PLAN_EPILOG, short_help="Say which samples a tolerance needs, and their cost.")
-@ping_options(poses={"type": PathText()}, noise={"default": "physical"})
+@ping_options(noise={"default": "physical"})
 @click.pass_context
 def plan(ctx, scene, **options):
     """Choose the samples for a tolerance by what the sonar sees in SCENE; say why, and at what cost.
@@ -355,20 +354,15 @@ Examples:
 
 @main.command(epilog=VIEW_EPILOG, short_help="Move a sonar through a scene in the browser.")
 @ping_options(
-    poses={"type": PathText()},
-    noise={"default": "physical"},
-    tolerance={"type": float, "default": 0.05},
+    **LIVE_OPTIONS,
     counts={"show_default": "the sonar's"},
     colormap={"default": "copper"},
     polar={"is_flag": True},
     height={"type": int, "default": 640},
-    seed={"type": int, "default": 0},
     host={"default": "127.0.0.1"},
     port={"type": click.IntRange(0, 65535), "default": 8080},
-    duration={"type": float, "show_default": "until Ctrl-C"},
     job={"type": PathText()},
     out={"default": "sonar_out", "type": PathText()},
-    json=None,
 )
 def view(scene, **options):
     """Show SCENE in 3D with the sonar in it, and its pings as the device would show them, on a page in the browser.
@@ -447,18 +441,13 @@ Examples:
 def _emulate_options(**more):
     """Decorate a command that emulates a device: the options of pings that make sense, the network, and `more`."""
     return ping_options(
+        **LIVE_OPTIONS,
         sonar=None,
         range=None,
         bins=None,
-        json=None,
-        poses={"type": PathText()},
-        noise={"default": "physical"},
-        tolerance={"type": float, "default": 0.05},
         counts={"show_default": "the device's"},
-        seed={"type": int, "default": 0},
         host={"default": "127.0.0.1"},
         port={"type": click.IntRange(0, 65535), "show_default": "the device's"},
-        duration={"type": float, "show_default": "until Ctrl-C"},
         **more,
     )
 
@@ -499,30 +488,26 @@ Examples:
   sonar-gl ros2 ocean_floor --poses dive.csv --rate 5
   sonar-gl ros2 pylon --transport zenoh --clock ros --pose-from odometry=/rov/odometry
 """
-ROS2_OPTIONS = {
-    "rate": {"type": float, "show_default": "as many as sound and the device allow"},
-    "noise": {"default": "physical"},
-    "counts": {"show_default": "the sonar's"},
-    "tolerance": {"type": float, "default": 0.05},
-    "seed": {"type": int, "default": 0},
-    "duration": {"type": float, "show_default": "until Ctrl-C"},
-    "config": {"type": PathText(), "metavar": "FILE.toml"},
-    "transport": {
+
+
+@main.command(epilog=ROS2_EXAMPLES, short_help="Publish live topics of ROS 2, without ROS.")
+@ping_options(
+    **LIVE_OPTIONS,
+    rate={"type": float, "show_default": "as many as sound and the device allow"},
+    counts={"show_default": "the sonar's"},
+    config={"type": PathText(), "metavar": "FILE.toml"},
+    transport={
         "type": click.Choice(("dds", "zenoh", "foxglove")),
         "multiple": True,
         "default": ("dds",),
     },
-    "clock": {"type": click.Choice(("own", "ros", "system")), "default": "own"},
-    "name": {"default": "sonar"},
-    "topics": {"show_default": "all"},
-    "pose_from": {"metavar": "KIND=NAME"},
-    "bodies_from": {"metavar": "TOPIC"},
-    "domain": {"type": click.IntRange(0, 232), "show_default": "the variable ROS_DOMAIN_ID, or 0"},
-}
-
-
-@main.command(epilog=ROS2_EXAMPLES, short_help="Publish live topics of ROS 2, without ROS.")
-@ping_options(poses={"type": PathText()}, json=None, **ROS2_OPTIONS)
+    clock={"type": click.Choice(("own", "ros", "system")), "default": "own"},
+    name={"default": "sonar"},
+    topics={"show_default": "all"},
+    pose_from={"metavar": "KIND=NAME"},
+    bodies_from={"metavar": "TOPIC"},
+    domain={"type": click.IntRange(0, 232), "show_default": "the variable ROS_DOMAIN_ID, or 0"},
+)
 @click.pass_context
 def ros2(ctx, scene, **options):
     """Publish the pings of a sonar in SCENE as live topics of ROS 2: images, point clouds, frames and the clock.

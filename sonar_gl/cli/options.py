@@ -116,6 +116,7 @@ ENGINE = {
 PING_OPTIONS = {
     "sonar": {"show_default": "the scene's, or p900-45"},
     "pose": {"show_default": "the scene's"},
+    "poses": {"type": PathText()},
     "range": {"type": float},
     "bins": {"type": int},
     "profile": {"type": click.Choice(("ideal", "demarco2015", "physical")), "default": "physical"},
@@ -130,6 +131,14 @@ PING_OPTIONS = {
     "only": {"multiple": True},
     "surface": {"type": float, "show_default": "the scene's"},
     "json": {"is_flag": True},
+}
+# of commands that ping until they are stopped: what differs from PING_OPTIONS
+LIVE_OPTIONS = {
+    "noise": {"default": "physical"},
+    "tolerance": {"type": float, "default": 0.05},
+    "seed": {"type": int, "default": 0},
+    "duration": {"type": float, "show_default": "until Ctrl-C"},
+    "json": None,
 }
 
 

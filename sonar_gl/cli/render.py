@@ -29,7 +29,7 @@ from sonar_gl.cli.common import (
 )
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
-from sonar_gl.imaging.files import output_folder, save_animation, save_npz, save_png
+from sonar_gl.imaging.files import check_fps, output_folder, save_animation, save_npz, save_png
 from sonar_gl.imaging.styles import FILMS, DemarcoStyle, FanStyle, shows_echo, what_lacks_16_bits
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.settings import Noise
@@ -117,6 +117,8 @@ def _check_combination(options, given: set[str]):
         raise Error(f"--format {films[0]} needs --poses (a film needs a sequence of poses)")
     if "fps" in given and not films:
         raise Error("--fps needs --format gif or --format mp4 (nothing else has frames)")
+    for film in films:
+        check_fps(options.fps, film)
 
 
 def _with_counts(sonar: Sonar, options) -> Sonar:
@@ -197,9 +199,7 @@ class FrameWriter:
 
     def __post_init__(self):
         self._strongest, self._bright_share, self._times_ms = None, None, []
-        self._has_files = (
-            False  # whether a file was written, or its writing has begun, which is then finished
-        )
+        self._has_files = False  # whether the writing of a file has begun, which is then finished
 
     def write(self, poses, times_s=None) -> str:
         """Write all files, and return one line about them and the strongest echo.
@@ -293,7 +293,9 @@ class FrameWriter:
                 needs_picture = set(self.formats) != {"npz"}
                 picture = self.style(self.simulator, ping, number) if needs_picture else None
                 if needs_picture:
-                    self._note_bright(self._is_bright(ping, picture))
+                    bright = self._is_bright(ping, picture)
+                    share = np.count_nonzero(bright) / bright.size
+                    self._bright_share = max(self._bright_share or 0.0, share)
                 self._has_files |= bool(stills)
                 if "png" in stills:
                     calls.start(save_png, self.folder / f"{names[number]}.png", picture)
@@ -314,10 +316,6 @@ class FrameWriter:
         law = ping.counts_law()
         least, power = law.intensity_of(VISIBLE_SHARE * law.full_scale), receiver_power(ping, self.noise)
         return ping.intensity > (least if power is None else np.maximum(least, OVER_NOISE * power))
-
-    def _note_bright(self, bright: np.ndarray):
-        """Remember the largest share of bright cells, or pixels."""
-        self._bright_share = max(self._bright_share or 0.0, np.count_nonzero(bright) / bright.size)
 
     def _strongest_echo(self, ping: Ping, number: int) -> Echo:
         """Return the strongest echo, or that there is none, or none above the noise, which rises with range."""

@@ -49,7 +49,7 @@ def report_text(scene: Scene, messages: Iterable[str] = (), note: str = "") -> s
         ("bodies", f"{len(scene.bodies)}, {scene.n_triangles} triangles"),
         ("extent", _extent_text(scene)),
         ("water", surface),
-        ("sonar", _sonar_text(scene)),
+        ("sonar", describe_sonar(scene) if scene.sonar is None else f"the scene's own, {scene.sensors[0]}"),
         *(
             ("plume", f"{plume.name!r} at {_numbers(plume.pose[:3, 3])}")
             for plume in scene.plumes[:MAX_LISTED]
@@ -77,10 +77,6 @@ def _extent_text(scene: Scene) -> str:
     text = f"{size_text(np.ptp(bounds, axis=0))}, from {_numbers(bounds[0])} to {_numbers(bounds[1])}"
     planes = sum(map(is_infinite, scene.bodies))
     return f"{text}, without {planes} infinite plane{'s' * (planes != 1)}" if planes else text
-
-
-def _sonar_text(scene: Scene) -> str:
-    return describe_sonar(scene) if scene.sonar is None else f"the scene's own, {scene.sensors[0]}"
 
 
 def _sensors_text(scene: Scene) -> str:

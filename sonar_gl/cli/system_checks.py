@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+from functools import partial
 
 import numpy as np
 import trimesh
@@ -105,7 +106,7 @@ def check_raster_engine():
 
 def check_compiled_functions():
     """Compile all compiled functions, and check that the machine code can be kept on disk."""
-    compilation = warm_up.compile_everything(_show_progress)
+    compilation = warm_up.compile_everything(partial(echo, err=True))
     folder = warm_up.cache_folder()
     detail = f"{compilation.n_functions}; {compilation.n_compiled} compiled now, {compilation.seconds:.0f} s"
     reason = reason_not_kept()
@@ -114,10 +115,6 @@ def check_compiled_functions():
     cure = "each run compiles again; set NUMBA_CACHE_DIR to a folder that can be written to"
     where = f" in {folder}" if folder else ""
     return None, f"{detail}; cannot be kept{where}{f' ({reason})' if reason else ''}", cure
-
-
-def _show_progress(text: str):
-    echo(text, err=True)
 
 
 def check_known_scene():

@@ -296,7 +296,9 @@ def check_choice(kind: str, value, choices: Iterable[str], location: str = "") -
     raise Error(f"{location}{': ' if location else ''}unknown {kind} (got {shown(value)}; {hint})")
 
 
-def unknown_body_error(name, known: Iterable[str], rule: str = "bodies must be bodies of the scene") -> Error:
+def unknown_body_error(
+    name, known: Iterable[str], rule: str = "bodies must be bodies of the scene", models: Iterable[str] = ()
+) -> Error:
     """Return the error for a name that no body has.
 
     Parameters
@@ -304,8 +306,14 @@ def unknown_body_error(name, known: Iterable[str], rule: str = "bodies must be b
     name : what was given, of any type
     known : names of the bodies of the scene, and of what else may be named
     rule : what must hold, with which the message begins
+    models : names of models of the scene that hold no body
 
     >>> str(unknown_body_error("wal", ["floor", "wall"]))
     "bodies must be bodies of the scene (got 'wal'; did you mean 'wall'?)"
     """
+    if name in models:
+        return Error(
+            f"{rule} (got {shown(name)}, a model without bodies, as where its only shapes are in the link that carries "
+            "the scene's sonar, which returns no echo: give the sensor a link of its own)"
+        )
     return Error(f"{rule} (got {shown(name)}; {nearest_of_many(name, known)})")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import lru_cache
 
 
@@ -18,8 +18,29 @@ def matching_names(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
     >>> matching_names(["crate[1]", "b?at*"], ["crate[1]", "crate1", "boat::hull", "Boat"])
     ['crate[1]', 'boat::hull']
     """
-    expressions = [_expression(pattern) for pattern in patterns]
-    return [name for name in names if any(one.fullmatch(name) for one in expressions)]
+    patterns = set(patterns)
+    expressions = [_expression(pattern) for pattern in patterns if _has_wildcards(pattern)]
+    return [name for name in names if name in patterns or any(one.fullmatch(name) for one in expressions)]
+
+
+def names_of(pattern: str, names: Collection[str]) -> list[str]:
+    """Return the names that one pattern matches.
+
+    Parameters
+    ----------
+    names : in which a plain name is looked up: a dict or a set where there may be thousands of both
+
+    >>> names_of("boat", {"boat", "boat_2"})
+    ['boat']
+    """
+    if _has_wildcards(pattern):
+        return matching_names([pattern], names)
+    return [pattern] if pattern in names else []
+
+
+def _has_wildcards(pattern: str) -> bool:
+    """Return whether a pattern may stand for other names than itself."""
+    return "*" in pattern or "?" in pattern
 
 
 @lru_cache(maxsize=256)

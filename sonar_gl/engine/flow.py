@@ -36,6 +36,7 @@ class PingSetup:
     surface_z_m : height of the water's surface, metres; None = out of reach
     needs_lobes : the specular lobes are received by themselves, too: speckle spares them
     texture : (n,) reflectivity of bodies in a view that returns the deviation of their texture; None without texture
+    n_plumes : those of the scene
     """
 
     request: PingRequest
@@ -49,6 +50,7 @@ class PingSetup:
     surface_z_m: float | None = None
     needs_lobes: bool = False
     texture: np.ndarray | None = None
+    n_plumes: int = 0
 
 
 @dataclass(frozen=True, eq=False)

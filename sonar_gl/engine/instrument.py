@@ -31,17 +31,8 @@ class Instrument:
         self.gain, self._pulse = self._receiver_in(acoustics)
         self.provenance = Provenance(sonar, acoustics)
 
-    def set_up(
-        self,
-        request: PingRequest,
-        state: SceneState | None,
-        n_bodies: int,
-        background=None,
-        surface_z_m: float | None = None,
-        needs_lobes: bool = False,
-        texture: np.ndarray | None = None,
-    ) -> PingSetup:
-        """Return a request with what it takes to receive it; from `background` on as in `PingSetup`.
+    def set_up(self, request: PingRequest, state: SceneState | None, n_bodies: int, **of_scene) -> PingSetup:
+        """Return a request with what it takes to receive it; `of_scene` are fields of `PingSetup` that have defaults.
 
         Raises
         ------
@@ -53,8 +44,7 @@ class Instrument:
             acoustics = acoustics.in_water(request.water)
             gain, pulse = self._receiver_in(acoustics)
         head_pose = self.sonar.head_pose(request.pose)
-        further = background, surface_z_m, needs_lobes, texture
-        return PingSetup(request, head_pose, state, acoustics, gain, pulse, n_bodies, *further)
+        return PingSetup(request, head_pose, state, acoustics, gain, pulse, n_bodies, **of_scene)
 
     def _receiver_in(self, acoustics: Acoustics) -> tuple[np.ndarray, np.ndarray | None]:
         """Return gain and pulse in some water."""

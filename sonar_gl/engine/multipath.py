@@ -33,7 +33,9 @@ SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's star
 # The relative error of multipath that is summed from the coarsest samples is nearly always less; it is compared with
 # nothing. As many samples as of the direct echo leave about so many tolerances.
 FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
-ROW_RATE = 0.85  # the error decreases as the height of rows to this power; columns matter little
+HALVING_RATE = 0.85  # of the error: twice as much after each 1 / 0.85 halvings, about
+# Of the error that a comparison shows: the estimate of the direct echo's error, to which it is added, has room for both.
+BESIDE_DIRECT = 0.7
 FINEST_HALVINGS = -2  # four times as many samples as of the direct echo
 MIN_SHARE = 0.015  # bodies whose multipath may be more of the direct echo count by themselves
 WIDEST_COLUMN = 1.0  # twice as wide as those of direct echoes; with four times as wide ones slanted walls err
@@ -122,9 +124,9 @@ class ImageSourceSamples:
     sources: tuple[ImageSource, ...]
 
     @property
-    def rows(self) -> int:
-        """How many rows of the fan are summed."""
-        return self.own.sampling.rows
+    def rows(self) -> float:
+        """How many rows of the fan are summed; of samples finer in both directions, how many had they finer rows alone."""
+        return self.own.sampling.rows * THINNINGS[self.halvings].rows / 2**self.halvings
 
 
 class MultipathEcho(NamedTuple):
@@ -152,7 +154,8 @@ class MultipathEcho(NamedTuple):
         if self.multipath.total <= 0:
             return None
         times = self.images.rows / coarser.images.rows
-        return MultipathError(wrong_share(self.multipath, coarser.multipath, times), self.images.rows)
+        wrong = wrong_share(self.multipath, coarser.multipath, times)
+        return MultipathError(BESIDE_DIRECT * wrong, self.images.rows)
 
 
 class _FoundImage(NamedTuple):
@@ -191,10 +194,11 @@ class Thinning(NamedTuple):
         return self.rows if self.is_drawn_alike else self.columns * self.rows
 
 
-# After so many halvings of the rows. Where all are drawn they are whole numbers, so that some of them serve.
+# After so many halvings of the rows. Where all are drawn they are whole numbers, so that some of them serve. Finer ones
+# are finer in both directions: rows alone would leave the error of columns, and not show it.
 THINNINGS = {
-    -2: Thinning(1, 1 / 4),
-    -1: Thinning(1, 1 / 2),
+    -2: Thinning(1 / 2, 1 / 2),
+    -1: Thinning(math.sqrt(1 / 2), math.sqrt(1 / 2)),
     0: Thinning(1, 1, True),
     1: Thinning(2, 2, True),
     2: Thinning(4, 4),
@@ -203,14 +207,20 @@ THINNINGS = {
 
 
 class MultipathError(NamedTuple):
-    """The relative error of multipath, estimated by a comparison, and the rows that it was summed from."""
+    """The relative error of multipath, estimated by a comparison.
+
+    Attributes
+    ----------
+    error : relative to multipath
+    rows : `ImageSourceSamples.rows` that it was summed from
+    """
 
     error: float
-    rows: int
+    rows: float
 
     def at(self, rows: float) -> float:
         """Return the error with so many rows, about."""
-        return self.error * (self.rows / rows) ** ROW_RATE
+        return self.error * (self.rows / rows) ** HALVING_RATE
 
 
 class HalvingChoice(NamedTuple):
@@ -459,7 +469,7 @@ class ImageSources:
             bodies_err = fewest < LEAST_ON_BODY * fewer or max(errors) > self._tolerance * (1 + share)
             # finer samples than those of the direct echo do not help bodies that have too few there
             is_enough = halvings <= 0 or not bodies_err
-            if is_enough and self._expected_error(images, halvings) * times**ROW_RATE <= most:
+            if is_enough and self._expected_error(images, halvings) * times**HALVING_RATE <= most:
                 return halvings
         return finest
 
@@ -469,7 +479,7 @@ class ImageSources:
             return self.choice.error.at(images.rows * 2.0 ** (images.halvings - halvings))
         if halvings == self.COARSEST:
             return FIRST_ERROR
-        return USUAL_ERROR * self._tolerance * 2.0 ** (ROW_RATE * halvings)
+        return USUAL_ERROR * self._tolerance * 2.0 ** (HALVING_RATE * halvings)
 
     def _finest_for(self, images: ImageSourceSamples) -> int:
         """Return the least number of halvings whose samples fit for certain."""

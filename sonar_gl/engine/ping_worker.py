@@ -6,28 +6,29 @@ from dataclasses import replace
 from threading import Lock
 
 import numba
-import numpy as np
 
-from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.core.cores import count_cores
 from sonar_gl.core.worker import Job, JobThread, held
 from sonar_gl.engine.adaptive import AdaptiveSampling
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.multipath import HalvingChoice, ImageSources
 from sonar_gl.engine.pipeline import choose_samples, draw, receive, receive_chosen
+from sonar_gl.engine.run import Run
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import IN_USE
-from sonar_gl.raster.engine import RasterEngine
 from sonar_gl.scene.scene import Scene
-from sonar_gl.sonar.sonar import Sonar
 
 MAX_WORKERS = 8  # beyond this Python's own share of a ping, about a tenth of a millisecond, is the limit
 NAME = "sonar_gl ping"  # of the threads
 
 
 def n_threads() -> int:
-    """Return how many threads make pings: those of Numba, one for each core unless NUMBA_NUM_THREADS says otherwise."""
-    return min(numba.config.NUMBA_NUM_THREADS, MAX_WORKERS)
+    """Return how many threads make pings: one for each core that this process may use, or NUMBA_NUM_THREADS."""
+    count = numba.config.NUMBA_NUM_THREADS
+    if count == numba.config.NUMBA_DEFAULT_NUM_THREADS:  # it knows of no share of time, as of containers
+        count = count_cores()
+    return min(count, MAX_WORKERS)
 
 
 class PingWorker:
@@ -35,28 +36,17 @@ class PingWorker:
 
     A ping's two halves are done in turn, so that the ping is that of `Simulator.ping` to the last bit.
 
-    Parameters
-    ----------
-    engine, sonar, acoustics, scene, tolerance : of the run
-    gain : (K,) of the sonar's bins
-    most_samples : of a view
+    run : Run, whose engine, scene and settings it takes
     """
 
-    def __init__(
-        self,
-        engine: RasterEngine,
-        sonar: Sonar,
-        acoustics: Acoustics,
-        scene: Scene,
-        tolerance: float,
-        gain: np.ndarray,
-        most_samples: int,
-    ):
-        self._stages, self._images = StageCache(engine, sonar, acoustics, most_samples=most_samples), None
+    def __init__(self, run: Run):
+        world, sonar, acoustics = run.world, run.instrument.sonar, run.instrument.acoustics
+        self._stages = StageCache(world.engine, sonar, acoustics, most_samples=run.stages.most_samples)
+        self._images = None
         if acoustics.multipath != "none":
-            self._images = ImageSources(self._stages, None, scene, tolerance)
-        self._sampling = None
-        self._sampler, self._tolerance, self._gain = None, tolerance, gain
+            self._images = ImageSources(self._stages, None, world.scene, run.tolerance)
+        self._sampling = self._sampler = None
+        self._tolerance, self._gain = run.tolerance, run.instrument.gain
         self._thread, self._making = JobThread(NAME), Lock()
 
     def job(

@@ -104,12 +104,7 @@ def draw(
     for setup, more in zip(setups, further, strict=True):
         poses += [setup.head_pose] * len(more.needed)
         states += more.needed
-    views = resolution.stage.draw(
-        poses,
-        states,
-        with_bodies=True,
-        keep_last=keep_last,
-    )
+    views = resolution.stage.draw(poses, states, with_bodies=True, keep_last=keep_last)
     images, further_views = draw_images(sources, resolution, views[:n], setups), iter(views[n:])
     return [
         DrawnPing(setup, resolution, view, of_images, more.drawn(further_views))

@@ -134,12 +134,16 @@ class Run:
         world, bubbles = self.world, self.instrument.acoustics.bubbles
         self._warn_of_air(request.pose)
         state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
-        background = None if request.background is None else world.mask_of(request.background)
-        needs_lobes = request.needs_noise_parts and self._returns_lobes(state)
-        texture = self._texture_of(state) if request.needs_noise_parts else None
-        n_bodies, surface_z_m = len(world.scene.bodies), world.scene.surface_z_m
-        more = background, surface_z_m, needs_lobes, texture
-        return self.instrument.set_up(request, state, n_bodies, *more)
+        return self.instrument.set_up(
+            request,
+            state,
+            len(world.scene.bodies),
+            background=None if request.background is None else world.mask_of(request.background),
+            surface_z_m=world.scene.surface_z_m,
+            needs_lobes=request.needs_noise_parts and self._returns_lobes(state),
+            texture=self._texture_of(state) if request.needs_noise_parts else None,
+            n_plumes=len(world.scene.plumes),
+        )
 
     def _returns_lobes(self, state: SceneState) -> bool:
         """Return whether a body that is present may return a specular lobe."""
@@ -187,8 +191,10 @@ class Run:
         """
         if self.image_sources is not None:
             self.image_sources.use_scene(self.world.scene)
-            if not finer:
-                self._reset_images(anew)
+            # finer samples are compared with coarser ones of the same ping, before others have them
+            is_new = self._is_independent(anew) or self.image_sources.choice.error is None
+            if is_new and not finer:
+                self.image_sources.reset()
         return self.image_sources
 
     def take_workers(self, count: int, make: Callable) -> list:
@@ -223,12 +229,6 @@ class Run:
             if planned is not None:
                 images.choice = planned
 
-    def _reset_images(self, anew: bool = False) -> None:
-        images = self.image_sources
-        # finer samples are compared with coarser ones of the same ping, before others have them
-        if images is not None and (self._is_independent(anew) or images.choice.error is None):
-            images.reset()
-
     def _is_independent(self, is_apart: bool) -> bool:
         """Return whether image sources of a ping do not depend on those of the pings before."""
         return is_apart or self.sampler.tolerance is None
@@ -253,7 +253,8 @@ class Run:
 
     def review_apart(self, received: ReceivedPing) -> bool:
         """Return whether the image sources of a ping whose samples were chosen from it alone are to be drawn finer."""
-        self._reset_images(anew=True)
+        if self.image_sources is not None:
+            self.image_sources.reset()
         return self._review_images(received)
 
     def _review_images(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> bool:
@@ -298,9 +299,10 @@ class Run:
         if estimate is not None and echo is not None:
             estimate = max(estimate, self.image_sources.error_of(echo))
         origin = self.sample_origin()
-        # others were added since it was drawn, and have no number in it
-        if setup.n_bodies < len(origin.bodies):
-            origin = replace(origin, bodies=origin.bodies[: setup.n_bodies])
+        # others were added since it was set up, and are not in it
+        if setup.n_bodies < len(origin.bodies) or setup.n_plumes < len(origin.plumes):
+            known = {"bodies": origin.bodies[: setup.n_bodies], "plumes": origin.plumes[: setup.n_plumes]}
+            origin = replace(origin, **known)
         return PingReport(origin, estimate, no_echo)
 
     def close(self) -> None:

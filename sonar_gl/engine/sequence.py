@@ -17,7 +17,7 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.adaptive import evenly_picked
 from sonar_gl.engine.error_model import Plan
-from sonar_gl.engine.flow import PingSetup, ReceivedPing
+from sonar_gl.engine.flow import PingSetup
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
@@ -30,6 +30,9 @@ BATCH = 4  # pings drawn at once
 # From half as many samples on, a ping gains nothing by being drawn with others.
 BATCH_SAMPLES = 1 << 19
 IMAGE_POSES = 5  # of a planned sequence, that decide how finely image sources are sampled
+# arguments with one value a pose: the field of `PingRequest` that it is
+FIELDS = {"bodies": "bodies", "times_s": "time_s", "velocities": "velocity"}
+FIELDS |= {"reflectivities": "reflectivity", "waters": "water"}
 
 
 def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
@@ -38,7 +41,7 @@ def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
     Parameters
     ----------
     poses : (4, 4) world_from_sonar of each
-    per_ping : field of `PingRequest` -> (name in messages, value of each ping, or None for none)
+    per_ping : key of FIELDS -> value of each ping, or None for none
     common : fields of `PingRequest` that all have in common
 
     Raises
@@ -47,12 +50,12 @@ def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
         if one of these is not one value per ping: at once where lengths are known, else at the first pose without a
         value. Values are checked one by one.
     """
-    columns = [(field, iter(_per_ping(values, name, poses))) for field, (name, values) in per_ping.items()]
+    columns = [(name, iter(_per_ping(values, name, poses))) for name, values in per_ping.items()]
     poses = several_poses(poses)
 
     def requests():
         for number, pose in enumerate(poses):
-            values = {field: _next_value(column, per_ping[field][0], number) for field, column in columns}
+            values = {FIELDS[name]: _next_value(column, name, number) for name, column in columns}
             yield PingRequest(pose, number=number, **common, **values)
 
     return requests()
@@ -276,18 +279,7 @@ class _Workers:
 
     def __init__(self, run: Run):
         self._run, self._number = run, 0
-        world, instrument = run.world, run.instrument
-        make = partial(
-            PingWorker,
-            engine=world.engine,
-            sonar=instrument.sonar,
-            acoustics=instrument.acoustics,
-            scene=world.scene,
-            tolerance=run.tolerance,
-            gain=instrument.gain,
-            most_samples=run.stages.most_samples,
-        )
-        self._workers = run.take_workers(n_threads(), make)
+        self._workers = run.take_workers(n_threads(), partial(PingWorker, run))
         self.ahead = 2 * len(self._workers) - 1
 
     def start(self, setups: list[PingSetup]) -> Job:
@@ -390,7 +382,9 @@ def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iter
         received = [None] * len(started.pings)
     for one in received:
         with run.world.unchanged():
-            is_good = one is not None and not _is_outdated(run, started, one)
+            is_good = one is not None and not (
+                run.review_apart(one) if started.is_apart else run.is_outdated(one, started.choice)
+            )
             if is_good and plan is not None:
                 upcoming.follow(started.pings[0], plan, one.direct.total)
             report = run.report(one) if is_good and one.total > 0 else None
@@ -403,11 +397,6 @@ def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iter
         started.pings.pop(0)
         yield ping
     in_flight.popleft()
-
-
-def _is_outdated(run: Run, started: _Started, received: ReceivedPing) -> bool:
-    """Return whether a ping must be made again."""
-    return run.review_apart(received) if started.is_apart else run.is_outdated(received, started.choice)
 
 
 def _sampled(run: Run, setup: PingSetup) -> Ping:

@@ -13,8 +13,8 @@ from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.core.array_pool import ArrayPools
 from sonar_gl.core.memory import return_free_memory
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.raster.engine import RasterEngine, Renderer, RenderWorkspace
-from sonar_gl.raster.views import MAX_SAMPLES
+from sonar_gl.raster.engine import RasterEngine, Renderer
+from sonar_gl.raster.views import MAX_SAMPLES, RenderWorkspace
 from sonar_gl.sonar.fan import USUAL_WIDTHS, ColumnWidths, Fan
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import Sampling

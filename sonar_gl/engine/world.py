@@ -61,7 +61,7 @@ class World:
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
         self.engine = make_engine(self.scene, engine, device, context)
         self.gl_info = self.engine.driver
-        self._indices = _indices(scene)
+        self._indices = {body.name: index for index, body in enumerate(scene.bodies)}
 
     def check_idle(self) -> None:
         """Raise an Error if this thread is in the middle of drawing."""
@@ -196,8 +196,9 @@ class World:
     def _index_of(self, name, what: str, plumes=()) -> int:
         if name not in self._indices:
             models = self.scene.models if what == "bodies" else ()
-            known = {*self._indices, *plumes, *models}
-            raise unknown_body_error(name, known, f"{what} must be bodies of the scene")
+            empty = {model for model in models if not self.scene.parts_of(model)}
+            known = {*self._indices, *plumes, *models} - empty
+            raise unknown_body_error(name, known, f"{what} must be bodies of the scene", empty)
         return self._indices[name]
 
     def _reflectivity(self, changed) -> np.ndarray:
@@ -265,8 +266,3 @@ class World:
         if not self._users and self.engine is not None and os.getpid() == self._process:
             self.thread.close()
             self.engine.discard()
-
-
-def _indices(scene: Scene) -> dict[str, int]:
-    """Return the index of each body by its name."""
-    return {body.name: index for index, body in enumerate(scene.bodies)}

@@ -20,6 +20,7 @@ FONT = cv2.FONT_HERSHEY_SIMPLEX
 STROKES = ((0, 2, 0.2), (255, 1, 0.45))
 SPOKE_STEPS_DEG = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90)
 ARC_STEPS_M = tuple(n * 10.0**e for e in range(-4, 6) for n in (1, 2, 5))
+MAX_NAME = 60  # letters of a name, so that a title can be read
 LABEL_SIZE = np.array([65, 24])  # pixels across and down that a label takes, at font size 1
 
 
@@ -90,10 +91,20 @@ def fan_ticks(fan: FanGeometry, spoke_pixels: float, arc_pixels: float = 0.0) ->
 def _title(ping: Ping, fan: FanGeometry, law: Counts, colormap: str | None) -> str:
     """Return the sonar's name, the range, and the gain of pictures whose law is known by their colours."""
     inner_m, outer_m = fan.range_edges_m
-    parts = [] if ping.sonar is None else [ping.sonar.name]
+    parts = [] if ping.sonar is None else [_drawable(ping.sonar.name)]
     parts.append(f"{_metres(inner_m)} to {_metres(outer_m)} m")
     parts += [f"gain {law.gain_db:+.1f} dB"] if colormap is not None else []
     return ", ".join(parts)
+
+
+def _drawable(name: str) -> str:
+    """Return a name in one line, of letters that OpenCV can draw: it crashes at a byte of a file's name in no encoding.
+
+    >>> _drawable("my\\nsonar \\udce9")
+    'my sonar ?'
+    """
+    name = "".join(letter if letter.isprintable() else "?" for letter in " ".join(name.split()))
+    return name if len(name) <= MAX_NAME else f"{name[: MAX_NAME - 3]}..."
 
 
 def _metres(value_m: float) -> str:

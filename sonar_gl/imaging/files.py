@@ -195,6 +195,14 @@ def _parse_meta(path: Path, text: np.ndarray) -> dict:
     return meta
 
 
+def check_fps(fps, film: str) -> float:
+    """Return the frames per second of a film, "gif" or "mp4", as `save_animation` takes them, or raise an Error."""
+    fps = check_number("fps of an animation", fps, 0.01, 120)
+    if film == "gif":
+        check_number("fps of a GIF", fps, 0.01, 100, "give fewer, or save an .mp4")
+    return fps
+
+
 def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
     """Write pictures as an animation: .gif, which loops, or .mp4.
 
@@ -220,17 +228,15 @@ def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
     black row or column.
     """
     path = _checked(path, (".gif", ".mp4"))
-    is_gif = path.suffix.lower() == ".gif"
-    fps = check_number("fps of an animation", fps, 0.01, 120)
-    if is_gif:
-        check_number("fps of a GIF", fps, 0.01, 100, "give fewer, or save an .mp4")
+    film = path.suffix.lower()[1:]
+    fps = check_fps(fps, film)
     check_kind("frames", frames, Iterable, "give several pictures, also of a generator")
     frames = _checked_frames(frames)
     try:
         first = next(frames)
     except StopIteration:
         raise Error(f"{str(path)!r}: an animation needs at least one frame (got none)") from None
-    write = _write_gif if is_gif else _write_mp4
+    write = _write_gif if film == "gif" else _write_mp4
     with atomic_write(path) as beside:
         write(beside, first, frames, fps)
 
@@ -286,7 +292,7 @@ def _write_mp4(path: Path, first: np.ndarray, rest: Iterator[np.ndarray], fps: f
     found = int(written.get(cv2.CAP_PROP_FRAME_COUNT)) if written.isOpened() else 0
     written.release()
     if found != count:
-        raise Error(f"only {found} of {count} frames could be written as MP4 (is the disk full?)")
+        raise OSError(f"only {found} of {count} frames could be written (is the disk full?)")
 
 
 def _checked_frames(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:

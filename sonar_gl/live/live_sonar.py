@@ -160,9 +160,7 @@ class LiveSonar:
         self._pool.close()
 
     def _simulator(self, settings: LiveSettings) -> Simulator:
-        """Return the simulator of some settings; another law of counts needs no other one."""
-        sonar = replace(settings.device, counts=settings.sonar.counts)
-        return self._pool.simulator(sonar, settings.acoustics, settings.tolerance, settings.engine)
+        return self._pool.simulator(settings.device, settings.acoustics, settings.tolerance, settings.engine)
 
     def _place(self, bodies: Mapping[str, np.ndarray | None]) -> None:
         """Have the bodies where some of them were moved to."""

@@ -10,12 +10,12 @@ from threading import Lock
 
 from sonar_gl.core.atomic_file import atomic_write, check_output_folder
 from sonar_gl.core.errors import Error
+from sonar_gl.core.listeners import Listener
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.files import output_folder, save_npz, save_png
 from sonar_gl.live.command_line import SceneSource, render_line
 from sonar_gl.live.frame import LiveFrame
 from sonar_gl.live.job_file import add_pose, new_job_text
-from sonar_gl.live.listeners import Listener
 from sonar_gl.live.recording import Recording
 
 logger = logging.getLogger(__name__)
@@ -79,7 +79,7 @@ class LiveOutput:
     @property
     def n_recorded(self) -> int:
         """Number of pings of the last recording."""
-        return 0 if self._recording is None else self._recording.n_pings
+        return 0 if self._recording is None else len(self._recording.files)
 
     @property
     def n_missed(self) -> int:

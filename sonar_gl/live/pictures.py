@@ -44,8 +44,9 @@ def _share(ping: Ping, settings: LiveSettings, law: Counts) -> np.ndarray:
         return fan_image(ping, settings.height, law)
     polar = np.ascontiguousarray(ping.intensity.T[::-1, ::-1], np.float32)
     rows, columns = polar.shape
-    # of bins finer than pixels the mean is shown, as in a fan image, so that no echo is lost between pixels
-    means = cv2.resize(polar, (columns, min(rows, settings.height)), interpolation=cv2.INTER_AREA)
+    # of beams or bins finer than pixels the mean is shown, as in a fan image, so that no echo is lost between pixels
+    means_size = min(columns, settings.height), min(rows, settings.height)
+    means = cv2.resize(polar, means_size, interpolation=cv2.INTER_AREA)
     size = settings.height, settings.height
     return cv2.resize(law.share(means), size, interpolation=cv2.INTER_NEAREST_EXACT)
 

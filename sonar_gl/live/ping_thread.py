@@ -8,8 +8,8 @@ from collections.abc import Callable
 from threading import Condition, Event, RLock, Thread, current_thread
 
 from sonar_gl.core.errors import closed_error
+from sonar_gl.core.listeners import Listener
 from sonar_gl.core.worker import Job
-from sonar_gl.live.listeners import Listener
 
 RETRY_S = 0.5  # after a ping that failed
 
@@ -64,7 +64,7 @@ class PingThread:
         """Return a new listener, for which the thread pings until it is closed."""
         with self._changed:
             self.check_open()
-            listener = Listener(call, self._forget, waiting)
+            listener = Listener(call, "sonar_gl listener", waiting, self._forget)
             self._listeners.append(listener)
             self._changed.notify_all()
             return listener

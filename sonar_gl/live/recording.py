@@ -33,7 +33,7 @@ class Recording:
     """
 
     def __init__(self, folder: Path):
-        self.folder, self.n_pings, self.files = folder, 0, []
+        self.folder, self.files = folder, []
         self._rows, self._began_s = [], None
         self._pictures: Queue = Queue(WAITING_PICTURES)
         self._film_problem, self._has_all_pictures = "", False
@@ -46,12 +46,11 @@ class Recording:
         if self._began_s is None:
             self._began_s = frame.clock_s
         time_s = frame.clock_s - self._began_s
-        path = self.folder / f"ping_{self.n_pings:06d}.npz"
+        path = self.folder / f"ping_{len(self.files):06d}.npz"
         save_npz(path, frame.ping)
         if not self.files:  # a film needs a picture
             self._film.start()
         self.files.append(path)
-        self.n_pings += 1
         self._rows.append([round(time_s, 6), *rounded_pose_numbers(frame.pose)])
         self._pictures.put((time_s, frame.picture))
 

@@ -18,11 +18,11 @@ import numpy as np
 from sonar_gl.analysis.terms import Price, price
 from sonar_gl.core.checks import check_function, check_kind, check_whole_number
 from sonar_gl.core.errors import Error, copied_error
+from sonar_gl.core.listeners import Listener
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import BodyPoses
 from sonar_gl.live.command_line import SceneSource
 from sonar_gl.live.frame import LiveFrame, LiveState, Reading, Surface
-from sonar_gl.live.listeners import Listener
 from sonar_gl.live.live_sonar import FrameRequest, LiveSonar
 from sonar_gl.live.motion import SPEED_M_S, TURN_RATE_RAD_S, moved
 from sonar_gl.live.output import DEFAULT_FOLDER, LiveOutput
@@ -269,7 +269,7 @@ class LiveSession:
 
     def next_frame(self) -> LiveFrame:
         """Make a ping now, and return its frame; listeners do not get it."""
-        return self._thread.do(self._ping)
+        return self._thread.do(lambda: self._sonar.ping(self._request()))
 
     def still(self, frame: LiveFrame) -> LiveFrame:
         """Return a frame as `sonar-gl render` makes it: with its pose rounded, and samples planned for that pose alone.
@@ -373,9 +373,6 @@ class LiveSession:
         for listener in listeners:
             listener.tell(frame)
         return True
-
-    def _ping(self) -> LiveFrame:
-        return self._sonar.ping(self._request())
 
     def _request(self) -> FrameRequest:
         """Return what a ping that is made now depends on."""

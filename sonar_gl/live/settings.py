@@ -14,7 +14,7 @@ from sonar_gl.core.checks import (
     check_whole_number,
     make_numbers_plain,
 )
-from sonar_gl.core.errors import Error, nearest_names
+from sonar_gl.core.errors import Error
 from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, MAX_HEIGHT, colours
 from sonar_gl.noise.settings import Noise
 from sonar_gl.raster.engine import ENGINES
@@ -126,18 +126,13 @@ class LiveSettings:
         """
         known = [one.name for one in fields(self)] + ["water", "gain_db"]
         for name in values:
-            if name not in known:
-                raise Error(f"unknown setting (got {name!r}; {nearest_names(name, known)})")
+            check_choice("setting", name, known)
         if "water" in values:
             water = values.pop("water")
             check_kind("water", water, Water, "such as sonar_gl.Water(temperature_c=4.0)")
-            check_kind(
-                "acoustics",
-                values.get("acoustics", self.acoustics),
-                Acoustics,
-                "such as Acoustics.physical()",
-            )
-            values["acoustics"] = replace(values.get("acoustics", self.acoustics), water=water)
+            acoustics = values.get("acoustics", self.acoustics)
+            check_kind("acoustics", acoustics, Acoustics, "such as Acoustics.physical()")
+            values["acoustics"] = replace(acoustics, water=water)
         gain_db = values.pop("gain_db", None)
         if "sonar" in values:
             values = {"range_m": None, "n_bins": None, "counts": None} | values
@@ -166,7 +161,5 @@ def term_names() -> list[str]:
 
 
 def _term(name: str) -> Term:
-    for term in TERMS:
-        if term.name == name:
-            return term
-    raise Error(f"unknown term (got {name!r}; {nearest_names(name, term_names())})")
+    check_choice("term", name, term_names())
+    return next(term for term in TERMS if term.name == name)

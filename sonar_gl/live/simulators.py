@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
+from sonar_gl.sonar.counts import DEFAULT_COUNTS
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_SIMULATORS = 4  # settings between which a user changes to and fro
@@ -35,8 +37,11 @@ class SimulatorPool:
     ) -> Simulator:
         """Return the simulator of these settings; the one that was not used for longest makes room.
 
-        Another engine than before makes all others go. An Error of the new simulator leaves the others as they are.
+        Its law of counts is the default. Another engine than before makes all others go. An Error of the new simulator
+        leaves the others as they are.
         """
+        # another law needs no other simulator, whose first ping takes far longer
+        sonar = replace(sonar, counts=DEFAULT_COUNTS)
         key = sonar, acoustics, tolerance
         if engine != self._engine or not self._simulators:
             simulator = Simulator(self._scene, sonar, acoustics, tolerance=tolerance, engine=engine)

@@ -11,11 +11,11 @@ import numpy as np
 from sonar_gl.core.checks import check_function
 from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.hosts import is_local
+from sonar_gl.core.listeners import Listener
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.poses import read_poses
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.command_line import SceneSource
-from sonar_gl.live.listeners import Listener
 from sonar_gl.live.output import DEFAULT_FOLDER
 from sonar_gl.live.page import ViewerPage, load_viser
 from sonar_gl.live.pose_track import PoseTrack
@@ -157,14 +157,12 @@ def view(
     load_numba()
     if on_ping is not None:
         check_function("on_ping", on_ping, "a Ping")
-    source = None
-    if not isinstance(scene, Scene):
-        source, scene = SceneSource(str(scene)), load_scene(scene)
+    name = None if isinstance(scene, Scene) else str(scene)
+    scene = scene if name is None else load_scene(scene)
     text = sonar if isinstance(sonar, str) else None
     if not isinstance(sonar, Sonar):
         sonar = scene.sonar or load_sonar(DEFAULT_SONAR) if sonar is None else load_sonar(sonar)
-    if source is not None and text is not None:
-        source = SceneSource(source.name, sonar=text, loaded=sonar)
+    source = None if name is None else SceneSource(name, sonar=text, loaded=None if text is None else sonar)
     track = None
     if isinstance(pose, (str, Path)):
         times_s, poses = read_poses(pose)

@@ -64,15 +64,10 @@ class FieldKey(NamedTuple):
 
 
 class RecentFields:
-    """The last place-locked fields: a sonar that stands still sees the same again.
+    """The last place-locked fields, of speckle and texture: a sonar that stands still sees the same again."""
 
-    Parameters
-    ----------
-    most : how many are kept
-    """
-
-    def __init__(self, most: int):
-        self._most, self._kept = most, ()
+    def __init__(self):
+        self._kept = ()
 
     def field(
         self, key: FieldKey, thread: SecondThread | None = None, beside: Callable[[], None] | None = None
@@ -85,11 +80,11 @@ class RecentFields:
         elif beside is not None:
             beside()
         others = [pair for pair in kept if pair[0] != key]
-        self._kept = ((key, found[0]), *others)[: self._most]  # at once, for other threads and interrupts
+        self._kept = ((key, found[0]), *others)[:2]  # at once, for other threads and interrupts
         return found[0]
 
 
-_FIELDS = RecentFields(2)  # speckle and texture
+_FIELDS = RecentFields()
 
 
 def receiver_power(ping: Ping, noise: Noise) -> np.ndarray | None:
@@ -166,14 +161,15 @@ class FieldNoise:
             if looks > 1:
                 intensity /= np.float32(looks)
         if noise.interference_lines:
-            power = self._mean_power(noise.interference_db)
-            receiver = (
+            add_interference(
+                intensity,
+                noise.interference_lines,
+                self._mean_power(noise.interference_db),
                 self._correlation,
                 self._ping.bin_size_m,
                 self._assumed_sound_speed_m_s,
                 self._stream("interference"),
             )
-            add_interference(intensity, noise.interference_lines, power, *receiver)
 
     def _levels_db(self) -> list[float]:
         """Return the levels of the noises that the receiver adds, before the TVG."""

@@ -16,7 +16,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster import opengl
 from sonar_gl.raster.cpu.engine import CpuEngine
 from sonar_gl.raster.scene_meshes import SceneMeshes
-from sonar_gl.raster.views import MAX_SAMPLES
+from sonar_gl.raster.views import MAX_SAMPLES, RenderWorkspace
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import ViewSamples
@@ -26,13 +26,6 @@ ENGINE_VARIABLE, DEVICE_VARIABLE = "SONAR_GL_ENGINE", "SONAR_GL_DEVICE"
 WITHOUT_EGL = "darwin", "win32"  # systems on which the package that makes contexts has none by EGL
 # Files of graphics drivers in /dev: a machine without any of them has no graphics card, and needs no OpenGL to say so.
 CARDS = "dri/renderD*", "nvidia[0-9]*", "dxg", "mali*", "kgsl*"
-
-
-class RenderWorkspace(Protocol):
-    """The memory that renderers draw into, one at a time."""
-
-    def drop_large(self) -> None:
-        """Give back the memory of fine pings; samples that were drawn stay valid."""
 
 
 class Renderer(Protocol):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +37,7 @@ class SectorView:
     geometry : tuple of SectorGeometry
     whole : Window of all its samples
     sample_rad : least width of a sample
+    furthest : length of the longest of its rays up to x = 1
     limits : tuple of DetailLimits
     """
 
@@ -46,6 +47,7 @@ class SectorView:
         ends = np.array([(i, j) for i in (-0.5, sector.columns - 0.5) for j in (-0.5, sector.rows - 0.5)])
         ends = ends @ sector.steps.T + corner
         self.sector, self.sample_rad = sector, min(u[1], v[2])
+        self.furthest = float(np.sqrt(1.0 + (ends * ends).sum(axis=1)).max())
         self.whole = Window(0, 0, sector.columns, sector.rows)
         self._last = self.whole, sector
         self.geometry = tuple(
@@ -131,13 +133,38 @@ class PatchesInView(NamedTuple):
     window: Window
 
 
-def check_samples(width: int, height: int, most: int) -> None:
-    """Raise a SampleLimitError if an image of samples has more than `most`."""
-    if width * height > most:
-        raise SampleLimitError(
-            f"samples with bodies before them must be no more than {most} (got {width} columns by {height} rows; ask "
-            "for a larger tolerance or fewer samples)"
-        )
+class RenderWorkspace:
+    """The memory that renderers draw into, one at a time.
+
+    Parameters
+    ----------
+    most_samples : of a view
+    make_image : function that returns room for the samples of a view, an object with `drop_large`
+    """
+
+    def __init__(self, most_samples: int, make_image: Callable):
+        self._most_samples, self._make_image = most_samples, make_image
+        self._images, self._other_images = [], []
+
+    def images(self, count: int, keep_last: bool) -> list:
+        """Return room for the samples of so many views; with `keep_last` not that of the last call."""
+        if keep_last:
+            self._images, self._other_images = self._other_images, self._images
+        self._images += [self._make_image() for _ in range(count - len(self._images))]
+        return self._images[:count]
+
+    def check_samples(self, width: int, height: int) -> None:
+        """Raise a SampleLimitError if an image of samples has more than a view may have."""
+        if width * height > self._most_samples:
+            raise SampleLimitError(
+                f"samples with bodies before them must be no more than {self._most_samples} (got {width} columns by "
+                f"{height} rows; ask for a larger tolerance or fewer samples)"
+            )
+
+    def drop_large(self) -> None:
+        """Give back the memory of fine pings; samples that were drawn stay valid."""
+        for image in (*self._images, *self._other_images):
+            image.drop_large()
 
 
 def distance_before_plane(plane, matrices, bounds) -> tuple[np.ndarray, np.ndarray]:

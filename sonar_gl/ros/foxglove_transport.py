@@ -95,7 +95,7 @@ class FoxgloveTransport(Transport):
     def dropped(self) -> int:
         """Number of received messages that were dropped, as more came than were read."""
         with self._lock:
-            return self._dropped + sum(inbox.dropped for _, inbox in self._readers)
+            return self._dropped + sum(inbox.missed for _, inbox in self._readers)
 
     def advertise(self, topic: Topic) -> None:
         """Make a topic known to viewers.
@@ -182,7 +182,7 @@ class FoxgloveTransport(Transport):
             if reader not in self._readers:
                 return
             self._readers.remove(reader)
-            self._dropped += reader[1].dropped
+            self._dropped += reader[1].missed
         reader[1].close()
 
     def _check_open(self) -> None:
@@ -216,7 +216,7 @@ class FoxgloveTransport(Transport):
             readers = list(self._readers) if self._is_open else []
         for topic, inbox in readers:
             if (topic.name, topic.msgtype) == (name, msgtype):
-                inbox.put(message)
+                inbox.tell(message)
 
 
 class _Listener:

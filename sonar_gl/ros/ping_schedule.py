@@ -16,7 +16,8 @@ class Slot(NamedTuple):
     Attributes
     ----------
     is_due : whether to ping now
-    n_dropped : number of earlier pings that there was no step for, and that are left out
+    n_dropped : number of earlier pings that are left out from this step on: there was no step for them, or they waited
+        until the next one was due
     has_jumped : whether time jumped, so that the schedule began anew
     """
 
@@ -65,10 +66,11 @@ class PingSchedule:
             self._number = 0
         self._seen_ns = time_ns
         elapsed_ns = time_ns - self._start_ns
-        if not is_ready or elapsed_ns < round(self._number * self._period_ns):
-            return Slot(False, 0, has_jumped)
         number = max(self._number, int((elapsed_ns + 0.5) // self._period_ns))
-        n_dropped = number - self._number
+        # counted at once, not when the next ping begins: there may be none, at the end or before a jump
+        n_dropped, self._number = number - self._number, number
+        if not is_ready or elapsed_ns < round(number * self._period_ns):
+            return Slot(False, n_dropped, has_jumped)
         self._number, self._last_ns = number + 1, time_ns
         return Slot(True, n_dropped, has_jumped)
 

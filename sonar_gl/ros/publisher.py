@@ -56,7 +56,8 @@ class StepResult:
     Attributes
     ----------
     has_pinged : whether it made a ping, or began one in the background
-    n_dropped : number of pings whose time passed between the steps, and that are left out
+    n_dropped : number of pings that are left out from this step on: their time passed between the steps, or they waited
+        for a ping in the background until the next one was due
     has_jumped : whether time jumped, so that the sonar's rate counts from this step on
     waits_for_pose : whether no pose has come yet
     """
@@ -185,7 +186,8 @@ class Publisher:
         self._in_background, self._work = in_background, None
         self._clock_ns, self._reported_s, self._reported = None, time.monotonic(), PublisherCounts()
         self._is_placed, self._pose, self._moved = False, None, {}
-        self._names = {thing.name for thing in scene.bodies_and_plumes} | set(scene.models)
+        self._empty_models = {model for model in scene.models if not scene.parts_of(model)}
+        self._names = {*scene.models, *(thing.name for thing in scene.bodies_and_plumes)} - self._empty_models
         self._is_own_pose, self._are_own_bodies = True, True
         self._sonar, self._noise = sonar, noise
         self._executor = ThreadPoolExecutor(1, "simulation")
@@ -362,7 +364,7 @@ class Publisher:
         check_kind("bodies", bodies, dict, 'such as {"diver": sonar_gl.pose(x=5)}')
         for name in bodies:
             if name not in self._names:
-                raise unknown_body_error(name, self._names)
+                raise unknown_body_error(name, self._names, models=self._empty_models)
         return {
             name: None if pose is None else check_pose(pose, f"the pose of body {name!r}")
             for name, pose in bodies.items()
@@ -391,8 +393,6 @@ class Publisher:
         self._place(order)
         for kind, message in self._messages_of(ping, time_ns):
             self._send(kind, message, time_ns)
-        if "points" in self._topics:
-            self._send("points", self._points(pose, time_ns), time_ns)
         self._n_pings += 1
 
     def _make_ready(self, pose: np.ndarray) -> None:
@@ -404,10 +404,7 @@ class Publisher:
             with collected_warnings():
                 ping = self._simulator.ping(pose, self._noise, self.settings.seed)
             links = [self._types.transform(0, self.settings.world_frame, self.settings.frame, pose)]
-            messages = [self._types.transforms(links), *dict(self._messages_of(ping, 0)).values()]
-            if "points" in self._topics:
-                messages.append(self._points(pose, 0))
-            for message in messages:
+            for message in (self._types.transforms(links), *dict(self._messages_of(ping, 0)).values()):
                 self._types.encode(message)
         except MachineError:
             raise
@@ -457,6 +454,8 @@ class Publisher:
             else:
                 picture = colorize(picture, settings.colormap)
             yield "image", types.image(header, picture)
+        if "points" in self._topics:
+            yield "points", self._points(ping.pose, time_ns)
 
     def _points(self, pose: np.ndarray, time_ns: int):
         """Return the message of a point cloud."""

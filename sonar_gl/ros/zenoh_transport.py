@@ -112,7 +112,7 @@ class ZenohTransport(Transport):
     def dropped(self) -> int:
         """Number of received messages that were dropped, as more came than were read."""
         with self._lock:
-            return self._dropped + sum(inbox.dropped for inbox in self._subscribed)
+            return self._dropped + sum(inbox.missed for inbox in self._subscribed)
 
     def advertise(self, topic: Topic) -> None:
         """Make a topic known to other programs.
@@ -160,7 +160,9 @@ class ZenohTransport(Transport):
         key, zenoh, ext = self._node.key(topic), self._libraries.zenoh, self._libraries.ext
         inbox = Inbox(topic.name, receive, topic.depth)
         # without a thread of zenoh's in between, whose queue has no limit
-        handler = zenoh.handlers.Callback(lambda sample: inbox.put(sample.payload.to_bytes()), indirect=False)
+        handler = zenoh.handlers.Callback(
+            lambda sample: inbox.tell(sample.payload.to_bytes()), indirect=False
+        )
         latched = {}
         if topic.latched:
             latched["subscriber_detection"] = True
@@ -190,7 +192,7 @@ class ZenohTransport(Transport):
         """End the subscription of an inbox, if it has not ended yet."""
         with self._lock:
             declared = self._subscribed.pop(inbox, ())
-            self._dropped += inbox.dropped if declared else 0
+            self._dropped += inbox.missed if declared else 0
         for one in declared:
             with suppress(self._libraries.zenoh.ZError):  # of a session that is closed
                 one.undeclare()

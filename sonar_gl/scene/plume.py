@@ -11,11 +11,12 @@ from sonar_gl.core.checks import (
     ArraysStayReadOnly,
     check_fields,
     check_kind,
+    check_number,
     check_whole_number,
     make_numbers_plain,
 )
 from sonar_gl.core.errors import Error
-from sonar_gl.core.poses import check_pose
+from sonar_gl.core.poses import MAX_TIME_S, check_pose
 
 MAX_BUBBLES = 200_000  # of a plume at one time
 MIN_SPEED_RATIO, MAX_SPEED_RATIO = 0.8, 1.2  # a bubble's own speed of rise over the plume's
@@ -107,7 +108,16 @@ class Bubbles(ArraysStayReadOnly):
         -------
         places : (n, 3) float64, world, metres
         radii : (n,) float64, metres
+
+        Raises
+        ------
+        Error
+            if the time is not a number of seconds that a ping may have, or the pose is not one.
         """
+        time_s = check_number("time_s", time_s, -MAX_TIME_S, MAX_TIME_S, "give seconds")
+        source = (self.pose if pose is None else check_pose(pose, f"the pose of bubbles {self.name!r}"))[
+            :3, 3
+        ]
         first = math.floor(self._exhaled_s(time_s - self._max_age_s()) * self.rate_hz) - 1
         numbers = np.arange(first, math.floor(self._exhaled_s(time_s) * self.rate_hz) + 1)
         # the counter depends on the bubble's number alone, so each bubble has the same random numbers at any
@@ -130,7 +140,6 @@ class Bubbles(ArraysStayReadOnly):
         # the cone's radius is two standard deviations
         cone_m = self.mouth_m + math.tan(math.radians(self.half_angle_deg)) * height
         from_axis = magnitude[1] * cone_m / 2
-        source = (self.pose if pose is None else pose)[:3, 3]
         offsets = np.column_stack([from_axis * np.cos(angle[1]), from_axis * np.sin(angle[1]), height])
         return source + offsets, radii
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sonar_gl.core.checks import ArraysStayReadOnly, check_kind, check_number, frozen_array, shown
-from sonar_gl.core.errors import Error, errors_at, nearest_names
-from sonar_gl.core.names import matching_names
+from sonar_gl.core.errors import Error, errors_at, nearest_of_many
+from sonar_gl.core.names import names_of
 from sonar_gl.core.poses import MAX_POSITION_M, check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.materials import material
@@ -385,21 +385,19 @@ class Scene(ArraysStayReadOnly):
 
     def with_surface(self, surface_z_m: float | None) -> Scene:
         """Return the same scene with the water's surface at this height, metres; None = out of reach."""
-        return self._with(self.bodies_and_plumes, surface_z_m)
+        return self._with(self.bodies_and_plumes, surface_z_m=surface_z_m)
 
-    def _with(self, things, *surface_z_m: float | None) -> Scene:
-        (height_m,) = surface_z_m or (self.surface_z_m,)
-        return Scene(
-            things, self.sonar_pose, self.name, height_m, self.surface_roughness_m, self.sensors, self.models
-        )
+    def _with(self, things, **changed) -> Scene:
+        fields = "sonar_pose", "name", "surface_z_m", "surface_roughness_m", "sensors", "models"
+        return Scene(things, **{field: getattr(self, field) for field in fields} | changed)
 
     def _matching(self, patterns) -> set[str]:
-        names, found = [thing.name for thing in self.bodies_and_plumes], set()
+        names, found = dict.fromkeys(thing.name for thing in self.bodies_and_plumes), set()
         for pattern in patterns:
             check_kind("a name of bodies", pattern, str, 'such as "boat*"')
-            matching = matching_names([pattern], names)
+            matching = names_of(pattern, names)
             if not matching:
-                hint = nearest_names(pattern, names) if names else "there are none"
+                hint = nearest_of_many(pattern, names)
                 raise Error(f"names must be those of bodies of the scene (got {pattern!r}; {hint})")
             found.update(matching)
         return found

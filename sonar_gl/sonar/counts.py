@@ -21,7 +21,7 @@ from sonar_gl.core.checks import (
     make_numbers_plain,
     shown,
 )
-from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
 
 # fields that one law alone uses
@@ -117,8 +117,7 @@ class Counts:
                 f'counts must be a table such as {{ law = "db", low_db = -50 }} (got {shown(values)})'
             )
         for key in values:
-            if key not in known:
-                raise Error(f"counts: unknown key (got {key!r}; {nearest_names(str(key), known)})")
+            check_choice("key", key, known, "counts")
         gains = {"gain_db": 0.0, "gain_percentile": None}
         reset = gains if not gains.keys().isdisjoint(values) else {}
         out = replace(self, **{**reset, **values})

@@ -287,6 +287,11 @@ class Sonar:
                 f"common_noise_width_deg = {width_deg:g} is narrower than the beams of the whole array, "
                 f"{self.beam_width_deg:g} degrees; if it is in radians, give {math.degrees(width_deg):.4g}"
             )
+        if self.cross_talk_db is not None and self.cross_talk_beams >= self.n_beams:
+            yield (
+                f"cross_talk_beams = {self.cross_talk_beams} leaves {self.n_beams} beams without cross-talk; give "
+                f"fewer than {self.n_beams}, the number of transmissions a frame, or set no cross_talk_db"
+            )
         # no more than 45 degrees in radians, and so little that a picture does not show it
         if 0 < abs(self.tilt_deg) < min(0.8, self.elevation_fov_deg / 10):
             yield (
@@ -533,8 +538,7 @@ def load_sonar(what: str | Path) -> Sonar:
         raise _no_sonar_error(what, path, known)
     tables = _read_tables(path)
     if path != Path(text):  # the text names a table
-        if table not in tables:
-            raise Error(f"{path}: unknown table (got {table!r}; {nearest_names(table, tables)})")
+        check_choice("table", table, tables, str(path))
     elif len(tables) > 1:
         raise Error(
             f"{path}: must contain one sonar, or one of its tables must be named "
@@ -608,8 +612,7 @@ def _sonar_from_table(location: str, name: str, table: dict) -> Sonar:
     required = {field.name: field.default is MISSING for field in fields(Sonar)}
     with errors_at(location):
         for key in table:
-            if key not in required:
-                raise Error(f"unknown key (got {key!r}; {nearest_names(key, required)})")
+            check_choice("key", key, required)
         for key in ("name", "source"):
             if not isinstance(table.get(key, ""), str):
                 raise Error(f"{key} must be text (got {table[key]!r}; put it in quotes)")

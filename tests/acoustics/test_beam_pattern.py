@@ -118,6 +118,7 @@ def test_chebyshev_arrays_have_equal_side_lobes_and_textbook_values(side_lobe_db
 
 ARRAYS = [("gaussian", "uniform", 30.0), *(("line_array", t, 30.0) for t in ("uniform", "hamming", "taylor"))]
 ARRAYS += [("line_array", "chebyshev", s) for s in (20.0, 30.0, 50.0)]
+ARRAYS += [("line_array", "taylor", 45.0)]  # of more terms than the pattern has nulls within its support
 
 
 @pytest.mark.parametrize("two_way_width", [False, True])
@@ -147,7 +148,8 @@ def test_array_patterns_are_cut_at_a_null_with_only_low_side_lobes_beyond(shape,
     assert beyond <= limit
     within = pattern.power(np.linspace(0, sine, 100_001)[1:-1])
     nulls = (np.diff(within[:-1]) < 0) & (np.diff(within[1:]) > 0)
-    assert nulls.sum() == 3  # the main lobe and three side lobes to each side are kept
+    # the main lobe and three side lobes to each side are kept; of Taylor's all that have a level of their own
+    assert nulls.sum() == pattern.support_nulls() - 1 == (6 if side_lobe_db == 45 else 3)
 
 
 @pytest.mark.parametrize(("steer_deg", "broader"), [(45.0, 1.414), (65.0, 2.366)])
@@ -331,6 +333,37 @@ def test_the_support_of_a_straight_array_holds_the_fourth_null_of_each_beam():
     ends = [np.arcsin(np.clip(np.sin(steer) + side * null, -1, 1)) - steer for side in (-1, 1)]
     assert acoustics.receive_support_rad(sonar) == pytest.approx(np.abs(ends).max(), rel=1e-6)
     assert np.degrees(np.abs(ends).max()) > 45
+
+
+def test_the_support_of_a_straight_array_holds_the_fourth_null_on_the_side_of_the_boresight():
+    """Aside it ends at 90 degrees: no other beam of this fan is wider than its outermost ones are inward."""
+    sonar, acoustics = described(
+        SONAR,
+        n_beams=3,
+        azimuth_fov_deg=150.0,
+        beam_azimuths_deg=(-75.0, 0.0, 75.0),
+        beam_width_deg=4.0,
+        steered="straight",
+    )
+    null = 4 / 0.885892941379 * 2 * np.sin(np.radians(2.0))
+    inward = np.radians(75.0) - np.arcsin(np.sin(np.radians(75.0)) - null)
+    assert acoustics.receive_support_rad(sonar) == pytest.approx(inward, rel=1e-6)
+
+
+def test_the_periods_of_receive_and_transmit_pattern_add_up():
+    """The spectrum of a product is as wide as both together: that of sin² x sin² y has no waves beyond x + y."""
+    sonar, acoustics = described(SONAR, beam_width_deg=4.0, transmit_width_deg=10.0)
+    half_width = 0.885892941379 / 2  # of a uniform array, in λ/L
+    per_rad = half_width / np.sin(np.radians(2.0)) + half_width / np.sin(np.radians(5.0))
+    assert acoustics.null_rad(sonar) == pytest.approx(1 / per_rad, rel=1e-9)
+
+
+def test_a_gaussian_pattern_has_few_waves_that_are_shorter_than_its_null():
+    pattern = ArrayPattern("gaussian", math.radians(20.0))
+    u = np.linspace(-4, 4, 80_001)  # beyond 1, too: the whole Gaussian
+    power = pattern.power(u)
+    share = (power * np.cos(2 * np.pi * u / pattern.null_sine())).sum() / power.sum()
+    assert 3.5e-8 < share < 4e-8
 
 
 def test_straight_arrays_are_limited_in_steering():

@@ -1,5 +1,6 @@
 """Cross-talk: closed forms of a single bright beam and of an even fan, in the function and in pings."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -106,6 +107,20 @@ def test_interleaved_presets_name_their_transmissions():
     assert sg.load_sonar("didson-hf,cross_talk_db=none").cross_talk_db is None
 
 
+def test_sets_of_one_beam_are_warned_of():
+    """They have no cross-talk, whatever its level."""
+    with pytest.warns(UserWarning) as caught:
+        sonar = replace(SONAR, cross_talk_beams=48)
+    assert [str(one.message) for one in caught] == [
+        "sonar 'sets': cross_talk_beams = 48 leaves 48 beams without cross-talk; give fewer than 48, the number of "
+        "transmissions a frame, or set no cross_talk_db"
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        replace(sonar, cross_talk_beams=47)
+        replace(sonar, cross_talk_db=None)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -118,3 +133,11 @@ def test_interleaved_presets_name_their_transmissions():
 def test_wrong_numbers_are_named(change, words):
     with pytest.raises(Error, match=words):
         replace(SONAR, **change)
+
+
+def test_beams_that_no_other_is_received_with_keep_their_echo():
+    """Five beams in three transmissions: 0 with 3, 1 with 4, and 2 alone."""
+    intensity = np.diag(np.float32([3, 6, 9, 12, 15]))
+    found = leak_between_beams(intensity, 10 * np.log10(0.5), 3)
+    shared = [[2, 0, 0, 4, 0], [0, 4, 0, 0, 5], [0, 0, 9, 0, 0], [1, 0, 0, 8, 0], [0, 2, 0, 0, 10]]
+    np.testing.assert_allclose(found, shared, rtol=4 * 2**-24)  # float32

@@ -9,6 +9,7 @@ import shutil
 from dataclasses import replace
 from itertools import product
 
+import llvmlite.binding
 import pytest
 
 import sonar_gl as sg
@@ -111,7 +112,9 @@ def test_damage_of_a_record_is_found_refused_and_mended(made, out, name, damage)
 def test_each_changed_digit_of_the_manifest_is_found(made, out):
     """A digit that is changed would divide what is made from then on otherwise."""
     text = (out / BEGUN).read_text()
-    for place in (m.start() for m in re.finditer(r"\d", text)):
+    places = [m.start() for m in re.finditer(r"\d", text)]
+    assert places
+    for place in places:
         (out / BEGUN).write_text(text[:place] + str((int(text[place]) + 1) % 10) + text[place + 1 :])
         with pytest.raises(sg.Error, match="must be as it was written"):
             Manifest.load(Folder(out))
@@ -328,6 +331,16 @@ def test_a_plan_says_what_made_it(made):
         )
     import_versions = {name: __import__(name).__version__ for name in ("numpy", "numba")}
     assert {"numpy": system.numpy, "numba": system.numba} == import_versions
+
+
+def test_a_plan_says_on_what_processor_it_began_and_goes_on_with_another(made, half, monkeypatch):
+    begun = Manifest.load(Folder(half))
+    assert begun.processor == llvmlite.binding.get_host_cpu_name()
+    monkeypatch.setattr(parts_module, "processor", lambda: "generic")
+    assert replace(begun, processor="generic").identity == begun.identity
+    (half / BEGUN).unlink()
+    assert resume(made, half, "--mend")[0] == 0 and run("batch", "--check", half)[0] == 0
+    assert Manifest.load(Folder(half)) == replace(begun, processor="generic")
 
 
 def test_a_plan_that_is_missing_is_mended_or_the_message_says_how(made, half):

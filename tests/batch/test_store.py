@@ -11,7 +11,7 @@ import sonar_gl as sg
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.schema import ArraySpec, bin_layers
-from sonar_gl.batch.store import PingStore, SonarGroup, consolidate, create_arrays
+from sonar_gl.batch.store import PingStore, SonarGroup, consolidate, create_arrays, shared_files
 
 N = 30
 SONAR = sg.Sonar("small", 900e3, 3, 5, 40.0, 10.0, 2.0, 0.5, 8.5)
@@ -111,6 +111,26 @@ def test_metadata_do_not_depend_on_the_order_in_which_folders_are_listed(tmp_pat
         ),
     }
     assert text == json.dumps(found, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+@pytest.mark.parametrize("n_sonars", [1, 2])
+def test_the_files_of_no_part_are_found_without_a_look_at_those_of_parts(tmp_path, monkeypatch, n_sonars):
+    """A store of many pings has a folder for each shard, and on a remote one each listing is a request."""
+    folder, listed = Folder(tmp_path), []
+    store, manifest = make_store(folder, 15, n_sonars)
+    for sonar in (f"sonar_{k}" for k in range(n_sonars)):
+        for part in range(manifest.n_parts):
+            store.write(sonar, manifest.numbers(part)[0], values_of(manifest.numbers(part)))
+        store.create_variable(sonar, ArraySpec("time_s", "float64", (), (), np.nan, {}), N)
+        store.group(sonar)["time_s"][:] = np.arange(N)
+    part_arrays = {spec.name for spec in SPECS}
+    files = (path for path in (tmp_path / "pings.zarr").rglob("*") if path.is_file())
+    names = [str(path.relative_to(tmp_path)) for path in files]
+    expected = [name for name in names if name.endswith("zarr.json") or not part_arrays & {*name.split("/")}]
+    find = folder.fs.find
+    monkeypatch.setattr(folder.fs, "find", lambda path: listed.append(path) or find(path))
+    assert sorted(shared_files(folder, part_arrays)) == sorted(expected)
+    assert listed and not any(path.endswith(name) for path in listed for name in part_arrays)
 
 
 def test_creation_repairs_what_is_damaged_and_leaves_the_rest(tmp_path):

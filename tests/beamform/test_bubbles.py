@@ -60,6 +60,25 @@ def test_the_same_time_gives_the_same_bubbles():
     assert len(other.at(7.25)[1]) != len(first[1]) or (other.at(7.25)[1] != first[1]).any()
 
 
+@pytest.mark.parametrize(
+    "time_s, message",
+    [
+        (math.nan, "time_s must lie in -1e+10..1e+10 (got nan; give seconds)"),
+        (1.76e18, "time_s must lie in -1e+10..1e+10 (got 1.76e+18; give seconds)"),
+        ("7", "time_s must be a number (got '7')"),
+    ],
+)
+def test_a_time_that_no_ping_may_have_raises_an_error(time_s, message):
+    with pytest.raises(sg.Error) as caught:
+        sg.Bubbles("a").at(time_s)
+    assert str(caught.value) == message
+
+
+def test_a_pose_of_bubbles_that_is_none_raises_an_error():
+    with pytest.raises(sg.Error, match=r"the pose of bubbles 'a' must have shape \(4, 4\)"):
+        sg.Bubbles("a").at(0.0, [1, 2, 3])
+
+
 def test_bubbles_rise_at_their_own_speeds_on_straight_lines():
     plume = sg.Bubbles("a", sg.pose(1, 2, -9, roll=1.0, yaw=0.4), breath_s=4.0)
     (before, radii), (after, later) = plume.at(100.0), plume.at(100.5)

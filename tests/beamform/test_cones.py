@@ -100,7 +100,7 @@ def test_the_sample_of_a_row_is_the_nearest_to_the_strip(name):
     sonar, max_elevation_deg = FANS[name]
     beams = BeamShape(0.03, False, max_elevation_deg=max_elevation_deg, are_cones=True)
     fan = make_fan(sonar, sg.Sampling(1, 64), beams)
-    work = kernels.make_work()
+    work, n_inside = kernels.make_work(), 0
     for sector in fan.sectors:
         lattice = kernels.Lattice(*SectorSamples(sector, None, None).lattice)
         strips, j = sector.strips, np.arange(sector.rows)
@@ -110,6 +110,8 @@ def test_the_sample_of_a_row_is_the_nearest_to_the_strip(name):
             inside = (v > strips.v_low[p]) & (v < strips.v_high[p])
             off = (line_u + tilt * v - (sector.u[0] + sector.u[1] * i + sector.u[2] * j)) / sector.u[1]
             assert np.abs(off[inside]).max(initial=0) < 0.76
+            n_inside += inside.sum()
+    assert n_inside > 0
 
 
 # ---- which sonars have them -------------------------------------------------------------------------------

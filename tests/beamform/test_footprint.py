@@ -1,12 +1,13 @@
 """The compiled kernels against NumPy: the distribution of 1/r over a rectangle, divided into bins."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, beam_weights
+from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, beam_weights, make_beamformer
 from sonar_gl.beamform.kernels import (
     ENERGY,
     SHORT_RAMP,
@@ -275,3 +276,17 @@ def test_the_echo_is_the_sum_over_bodies():
     assert all(part.any() for part in parts)
     np.testing.assert_allclose(sum(parts), whole, rtol=1e-5, atol=1e-6 * whole.max())  # float32 sums
     np.testing.assert_array_equal(Beamformer(fan, weights).sum_footprints(samples).intensity, whole)
+
+
+def test_the_weights_of_many_beams_take_no_more_memory_than_a_few_times_their_size():
+    """Beams a degree wide, that are spaced by a few thousandths of it: each takes a hundred columns and more."""
+    sonar = sg.load_sonar("p900-45,n_beams=8192")
+    make_beamformer(sg.load_sonar("p900-45"), sg.Acoustics.ideal(), sg.Sampling(2, 4))  # loads modules
+    tracemalloc.start()
+    try:
+        beamformer = make_beamformer(sonar, sg.Acoustics.ideal(), sg.Sampling(2, 4))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    n_weights = sonar.n_beams * sonar.beam_width_deg / sonar.azimuth_fov_deg * beamformer.fan.n_columns
+    assert peak < 8 * 4 * n_weights

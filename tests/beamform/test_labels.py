@@ -201,7 +201,9 @@ def test_joined_columns_return_an_even_echo_alike(fov_deg, widest_rad):
     columns = (tiles.first[:, None] + np.arange(tiles.weights.shape[1])) % joined.count
     received = (tiles.weights * joined_widths[columns][..., None]).sum(axis=1).ravel()[: len(weights.first)]
     columns = (weights.first[:, None] + np.arange(weights.weights.shape[1])) % fan.n_columns
-    np.testing.assert_allclose(received, (weights.weights * widths[columns]).sum(axis=1), rtol=1e-5)
+    np.testing.assert_allclose(
+        received, (weights.weights * widths[columns]).sum(axis=1), rtol=1e-7
+    )  # float32
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 0.9, 1.1, 2.0])
@@ -216,8 +218,8 @@ def test_the_echo_of_a_lone_body_is_that_of_the_ping(n_beams, fov_deg, azimuth_d
     )
     acoustics = sg.Acoustics.physical(far_side_lobes=far_side_lobes)
     got = ping([ball], sonar, acoustics, sg.Sampling(80 / n_beams + 2, 100))
-    # joined columns are received alike but for a share of 2e-3
-    assert got.body_echo[1] == pytest.approx(got.intensity.sum(dtype=float), rel=2e-3)
+    # joined columns are received alike but for a share of 2e-3, which is about the mean of theirs
+    assert got.body_echo[1] == pytest.approx(got.intensity.sum(dtype=float), rel=5e-5)
 
 
 def test_the_echo_of_a_body_beside_the_fan_is_received_by_far_side_lobes():
@@ -615,7 +617,7 @@ def test_labels_of_depth_images():
     got = sg.ping_from_depth(np.full((240, 400), 6.0), sonar, camera, IDEAL, body_id=numbers, labels=True)
     has_echo = got.share > 0
     assert got.shadow is None and set(got.body_id[has_echo].tolist()) == {0, 3}
-    assert got.body_echo[0] == pytest.approx(got.body_echo[3], rel=1e-5) and not got.body_echo[1:3].any()
+    assert got.body_echo[0] == pytest.approx(got.body_echo[3], rel=1e-6) and not got.body_echo[1:3].any()
     assert np.isfinite(got.incidence_rad[has_echo]).all() and np.isnan(got.incidence_rad[~has_echo]).all()
     off = got.incidence_rad[has_echo] - np.arccos(np.minimum(6 / got.true_range_m[has_echo], 1))
     # angle of the mean range; in the first bins, near normal incidence, angles change quickly

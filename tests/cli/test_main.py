@@ -867,6 +867,11 @@ def test_numbers_out_of_range():
     assert refused("--poses", "dive.csv", "--format", "gif", "--fps", 0) == (
         "fps of an animation must lie in 0.01..120 (got 0)"
     )
+    films = "--format", "mp4", "--format", "gif"
+    assert refused("--poses", "dive.csv", *films, "--fps", 120, "--out", "new") == (
+        "fps of a GIF must lie in 0.01..100 (got 120; give fewer, or save an .mp4)"
+    )
+    assert not Path("new").exists()  # nothing was begun
 
 
 def test_options_that_do_not_go_together():

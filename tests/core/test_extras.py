@@ -108,5 +108,7 @@ def test_every_extra_has_requirements_in_the_metadata():
 
 
 def test_no_message_has_pip_look_for_the_package_on_an_index():
-    for path in (ROOT / "sonar_gl").rglob("*.py"):
+    files = list((ROOT / "sonar_gl").rglob("*.py"))
+    assert files
+    for path in files:
         assert not re.search(r"pip install\W+sonar[-_.]gl", path.read_text(encoding="utf-8")), path

@@ -167,23 +167,51 @@ def test_any_tolerance(sonar, thing, pose, tolerance):
 any_value = st.one_of(odd_numbers, st.integers(-5, 10**6), st.text(max_size=5), st.none(), st.booleans())
 
 
-@FUZZ
-@given(
-    columns=any_value, rows=any_value, reducer=st.one_of(st.sampled_from(["point", "footprint"]), any_value)
-)
-def test_any_sampling(columns, rows, reducer):
-    sampling = outcome(lambda: sg.Sampling(columns, rows, reducer))
-    assert sampling is None or (0 < sampling.columns_per_beam <= 1024 and 1 <= sampling.rows <= 16_000)
+def mostly(usual):
+    """Draw any value, but mostly a usual one; `one_of` would take each kind of any value as often."""
+    return st.integers(0, 3).flatmap(lambda k: usual if k else any_value)
 
 
-@settings(FUZZ, max_examples=200)
-@given(numbers=st.lists(any_value, min_size=8, max_size=8))
-def test_any_sonar(numbers):
-    frequency, beams, bins, *others = numbers
-    sonar = outcome(lambda: sg.Sonar("fuzz", frequency, beams, bins, *others))
-    if sonar is not None:
-        assert (np.diff(sonar.bin_edges_m) > 0).all()
-        assert np.isfinite(sonar.azimuth_rad).all()
+def test_any_sampling():
+    made = []
+
+    @FUZZ
+    @given(
+        columns=mostly(st.floats(0.01, 8.0)),
+        rows=mostly(st.integers(1, 100)),
+        reducer=mostly(st.sampled_from(["point", "footprint"])),
+    )
+    def test(columns, rows, reducer):
+        sampling = outcome(lambda: sg.Sampling(columns, rows, reducer))
+        if sampling is not None:
+            assert 0 < sampling.columns_per_beam <= 1024 and 1 <= sampling.rows <= 16_000
+        made.append(sampling is not None)
+
+    test()
+    assert made.count(True) > 20 and made.count(False) > 20
+
+
+def test_any_sonar():
+    """Most numbers are usual ones: of eight odd ones, the first is refused, and nothing else is looked at."""
+    made = []
+
+    @settings(FUZZ, max_examples=200)
+    @given(
+        frequency_hz=mostly(st.floats(1e4, 3e6)),
+        n_beams=mostly(st.integers(1, 512)),
+        n_bins=mostly(st.integers(1, 2000)),
+        angles_deg=st.tuples(*[mostly(st.floats(0.01, 170))] * 3),
+        ranges_m=st.tuples(mostly(st.floats(0, 5)), mostly(st.floats(5, 200))),
+    )
+    def test(frequency_hz, n_beams, n_bins, angles_deg, ranges_m):
+        sonar = outcome(lambda: sg.Sonar("fuzz", frequency_hz, n_beams, n_bins, *angles_deg, *ranges_m))
+        if sonar is not None:
+            assert (np.diff(sonar.bin_edges_m) > 0).all()
+            assert np.isfinite(sonar.azimuth_rad).all()
+        made.append(sonar is not None)
+
+    test()
+    assert made.count(True) > 20 and made.count(False) > 20
 
 
 @LIGHT

@@ -207,8 +207,8 @@ TEXTS = {".py", ".pyi", ".md", ".toml", ".cfg", ".sh", ".sdf", ".vert", ".geom",
 CODE = {".py", ".pyi", ".md"}  # with names, or `code`
 SCRIPTS = ".ci/run", "tools/demo", "tools/test"
 FOLDERS = "sonar_gl", "tests", "tools", "examples", "shaders", "scenes", "docs"
-# The changelog tells of the past; the mutations also have what code was called; and this file has the list.
-QUOTING = "CHANGELOG.md", "tools/mutations.py", Path(__file__).relative_to(ROOT).as_posix()
+# The changelog tells of the past, and this file has the list.
+QUOTING = "CHANGELOG.md", Path(__file__).relative_to(ROOT).as_posix()
 
 
 @cache

@@ -399,7 +399,9 @@ def test_cost_of_a_device():
 def test_estimates_of_what_is_not_modelled():
     """They do not depend on the machine's speed; other drivers draw the same samples."""
     printed = run("tools.docs.unmodelled")
-    for line in printed.strip().splitlines():
+    lines = printed.strip().splitlines()
+    assert lines
+    for line in lines:
         assert line in (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
 
 

@@ -161,8 +161,13 @@ def test_links_move_with_their_model():
         np.testing.assert_array_equal(alone.body_echo > 0, [False, True, True, False])
         with pytest.raises(sg.Error, match="the pose of model 'rov' must have shape"):
             it.place({"rov": np.zeros(3)})
-        with pytest.raises(sg.Error, match=r"bodies must be bodies of the scene \(got 'gone'"):
-            it.place({"gone": there})
+        assert error_of(lambda: it.place({"gone": there})) == (
+            "bodies must be bodies of the scene (got 'gone', a model without bodies, as where its only shapes are in "
+            "the link that carries the scene's sonar, which returns no echo: give the sensor a link of its own)"
+        )
+        known = "did you mean 'plain'?"
+        assert error_of(lambda: it.place({"plane": there})).endswith(f"(got 'plane'; {known})")
+        assert "gone'?" not in error_of(lambda: it.place({"gon": there}))
 
 
 def test_what_is_in_a_model_moves_with_the_body_of_its_name():

@@ -122,6 +122,7 @@ def test_later_pings_do_not_overwrite_earlier_ones(it):
     copies = []
     for ping in it.pings(POSES, labels=True):
         copies.append((ping, ping.intensity.copy(), ping.body_id.copy(), ping.meta.copy()))
+    assert len(copies) == len(POSES)
     for ping, intensity, body_id, meta in copies:
         np.testing.assert_array_equal(ping.intensity, intensity)
         np.testing.assert_array_equal(ping.body_id, body_id)
@@ -291,23 +292,24 @@ def test_other_pings_between_those_of_a_sequence(it):
     """The simulator can make other pings while a sequence waits."""
     expected = [it.ping(pose).intensity for pose in POSES]
     there = it.ping(POSES[7], bodies={"box": None}).intensity
-    for number, ping in enumerate(it.pings(POSES)):
-        np.testing.assert_array_equal(ping.intensity, expected[number])
+    for ping, alone in zip(it.pings(POSES), expected, strict=True):
+        np.testing.assert_array_equal(ping.intensity, alone)
         np.testing.assert_array_equal(it.ping(POSES[7], bodies={"box": None}).intensity, there)
 
 
 def test_two_interleaved_sequences(it):
     expected = [it.ping(pose).intensity for pose in POSES]
-    for number, (one, other) in enumerate(zip(it.pings(POSES), it.pings(POSES[::-1]), strict=True)):
-        np.testing.assert_array_equal(one.intensity, expected[number])
-        np.testing.assert_array_equal(other.intensity, expected[10 - number])
+    both = zip(it.pings(POSES), it.pings(POSES[::-1]), expected, expected[::-1], strict=True)
+    for one, other, alone, alone_back in both:
+        np.testing.assert_array_equal(one.intensity, alone)
+        np.testing.assert_array_equal(other.intensity, alone_back)
 
 
 @pytest.mark.parametrize("labels", [False, True])
 def test_a_single_ping_after_each_of_a_sequence(it, labels):
     """Single pings do not overwrite the images of a sequence in progress."""
-    for number, ping in enumerate(it.pings(POSES, labels=labels)):
-        check_same(ping, it.ping(POSES[number], labels=labels))
+    for pose, ping in zip(POSES, it.pings(POSES, labels=labels), strict=True):
+        check_same(ping, it.ping(pose, labels=labels))
 
 
 def test_pings_from_another_thread_during_a_sequence(it):
@@ -374,6 +376,20 @@ def test_a_body_added_before_a_ping_without_an_echo_is_absent_from_it():
             together += pings
     assert [ping.meta["has_echo"] for ping in together] == [True, False, True]
     assert not together[1].body_id.any()
+
+
+def test_a_plume_added_during_a_sequence_is_named_by_the_pings_that_have_it():
+    with simulator() as it:
+        pings = it.pings(POSES)
+        together = list(islice(pings, 2))
+        it.add(sg.Bubbles("plume", sg.pose(6, 1, -2)))
+        with pytest.warns(UserWarning, match="bodies were placed or added between two pings"):
+            together += pings
+        again = it.ping(POSES[0])
+    named = [ping.meta.get("plumes", []) for ping in [*together, again]]
+    n_old = named.index(["plume"])
+    assert 3 <= n_old <= 2 + 2 * sequence.BATCH
+    assert named == [[]] * n_old + [["plume"]] * (len(named) - n_old)
 
 
 def test_the_poses_may_come_from_a_generator_that_uses_the_simulator(it):
@@ -445,6 +461,15 @@ def test_bodies_that_generators_place_are_not_warned_of(it):
         warnings.simplefilter("error")
         for _ in zip(it.pings(poses(2)), it.pings(poses(1)), strict=True):
             pass
+
+
+@pytest.mark.parametrize(("numba_num", "share", "n"), [(64, 3, 3), (64, 64, 8), (2, 64, 2), (6, 3, 6)])
+def test_threads_fill_the_share_of_time_of_a_container(monkeypatch, numba_num, share, n):
+    """Numba knows the cores of the machine alone; a number that is set counts."""
+    monkeypatch.setattr(ping_worker.numba.config, "NUMBA_DEFAULT_NUM_THREADS", 64)
+    monkeypatch.setattr(ping_worker.numba.config, "NUMBA_NUM_THREADS", numba_num)
+    monkeypatch.setattr(ping_worker, "count_cores", lambda: share)
+    assert ping_worker.n_threads() == n
 
 
 def test_a_sequence_that_ends_after_its_simulator_keeps_no_workers():

@@ -143,6 +143,28 @@ def test_a_title_fits_whatever_steps_letters_have(fov_deg, height):
     assert not drawn[:20, :2].any() and not drawn[:20, -2:].any()
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("two\nlines", "two lines"),
+        ("nul\x00 and more", "nul? and more"),
+        ("caf\udce9", "caf?"),  # as Python reads a file's name that is not UTF-8
+        ("é 声", "é 声"),
+        ("x" * 5000, "x" * 57 + "..."),
+    ],
+)
+def test_odd_names_of_sonars_leave_the_title_readable(monkeypatch, name, said):
+    """OpenCV ended the process at a lone surrogate, and the title with a NUL; long names made it vanish."""
+    texts = []
+    draw = axes.cv2.putText
+    monkeypatch.setattr(axes.cv2, "putText", lambda *more: texts.append(more[1]) or draw(*more))
+    ping = fan_ping(60, range_m=(5.0, 20.0), fill=0.01)
+    sonar = Sonar(name, 900e3, *ping.intensity.shape, 60.0, 20.0, 1.0, 5.0, 20.0)
+    drawn = draw_axes(colorize(fan_image(ping, 300)), replace(ping, sonar=sonar))
+    assert f"{said}, 5 to 20 m" in texts
+    assert drawn[:20].any()
+
+
 @pytest.mark.parametrize("range_m", [0.3, 30.0, 900.0])
 @pytest.mark.parametrize("height", [1, 60, 200])
 @pytest.mark.parametrize("fov_deg", [5, 90, 130, 180, 360])

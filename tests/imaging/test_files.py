@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import resource
 from dataclasses import asdict, is_dataclass
 
 import cv2
@@ -270,6 +271,20 @@ def test_gif_of_a_picture_that_stays_longer_than_a_duration_can_be(tmp_path, lev
             seen.append(np.unique(np.asarray(film.convert("RGB"))).tolist())
     assert total_s == 100 * len(frames)
     assert seen == [[level]] * (film.n_frames - (others > 0)) + [[99]] * (others > 0)
+
+
+def test_an_mp4_without_room_is_named(tmp_path):
+    """OpenCV's writer says nothing of it. Files of more than a limit are refused as those on a full disk are."""
+    noise = np.random.default_rng(1).integers(0, 256, (4, 64, 64), np.uint8)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2048, limits[1]))
+    try:
+        got = error_of(save_animation, tmp_path / "a.mp4", noise, 10)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    path = str(tmp_path / "a.mp4")
+    assert got == f"cannot write {path!r}: only 0 of 4 frames could be written (is the disk full?)"
+    assert not list(tmp_path.iterdir())
 
 
 def test_gif_is_no_faster_than_its_durations(tmp_path):

@@ -290,7 +290,7 @@ def test_pings_that_cannot_be_written_once_the_recording_is_stopped_are_told(ses
 def fail_on_full_disk(path, frames, fps):
     """Take one frame as `save_animation`, and fail as on a full disk."""
     next(iter(frames))
-    raise sg.Error("only 1 of 9 frames could be written as MP4 (is the disk full?)")
+    raise sg.Error("only 1 of 9 frames could be written (is the disk full?)")
 
 
 def test_a_recording_that_failed_is_in_the_way_of_no_other(session, monkeypatch):
@@ -347,12 +347,12 @@ def test_a_recording_whose_first_ping_cannot_be_saved_ends(session, tmp_path, mo
 
 def test_a_film_that_fails_after_its_last_picture_ends_the_recording(session, tmp_path, monkeypatch):
     def full(_path, frames, _fps):
-        raise sg.Error(f"only 0 of {len(list(frames))} frames could be written as MP4 (is the disk full?)")
+        raise sg.Error(f"only 0 of {len(list(frames))} frames could be written (is the disk full?)")
 
     monkeypatch.setattr(recording_module, "save_animation", full)
     recording = Recording(tmp_path)
     recording(session.frame)
-    assert str(finished(recording)) == "only 0 of 1 frames could be written as MP4 (is the disk full?)"
+    assert str(finished(recording)) == "only 0 of 1 frames could be written (is the disk full?)"
     assert sorted(os.listdir(tmp_path)) == ["ping_000000.npz", "poses.csv"]
 
 

@@ -521,6 +521,7 @@ def test_labelled_bins_have_a_surface_of_their_body(session):
     frame = session.next_frame()
     for number, body in ((1, "wall"), (2, "ball")):
         found = np.argwhere(session.bins_of(frame, body))
+        assert len(found)
         for beam, bin in found[:: max(1, len(found) // 15)]:
             assert number in session.surface_of(frame, beam, bin).body_id
 

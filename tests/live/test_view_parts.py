@@ -26,7 +26,7 @@ from sonar_gl.live.view.outline import PictureSector, fan_arcs, fan_outline
 from sonar_gl.live.view.ping_panel import HELP_HTML, PANEL
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_marks import MarkedPicture, marks_html
-from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
+from sonar_gl.live.view.range_scale import allowed_range_m, range_scale, shown_range_m
 from sonar_gl.sonar.sonar import Sonar, presets
 from tests.support.fan_ping import fan_ping
 
@@ -211,6 +211,19 @@ def test_marks_lie_where_the_picture_shows_their_range_and_azimuth(fov_deg, form
             assert abs(bins.bin[at] - bin_) <= 1
 
 
+@pytest.mark.parametrize("height", [40, 57, 60, 90])
+def test_a_polar_picture_shows_each_beam_where_pixels_are_wider(height):
+    sonar = replace(SONAR, n_beams=60)
+    settings, ping = LiveSettings(sonar, form="polar", height=height, colormap="gray"), ping_of(sonar)
+    bins = pixel_bins(ping, settings)
+    for beam in range(60):
+        bright = np.zeros_like(ping.intensity)
+        bright[beam] = 1.0
+        columns = np.flatnonzero(picture_of(replace(ping, intensity=bright), settings).any(axis=(0, 2)))
+        assert len(columns), beam
+        assert (abs(bins.beam[0, columns] - beam) <= max(1, 60 / height)).all()
+
+
 @pytest.mark.parametrize("form", ["fan", "polar"])
 @pytest.mark.parametrize("fov_deg", [2.0, 15.0, 29.0, 45.0, 90.0, 130.0, 200.0, 359.0])
 def test_ranges_are_numbered_and_no_number_covers_another(fov_deg, form):
@@ -270,16 +283,17 @@ def test_prices_are_a_table_without_zeros_that_were_not_measured():
 )
 def test_the_slider_of_the_range_follows_the_sonar(near_m, far_m, limit_m, set_m, expected):
     sonar = replace(SONAR, n_bins=1, range_min_m=near_m, range_max_m=far_m, range_limit_m=limit_m)
-    scale = RangeScale.of(LiveSettings(sonar, range_m=set_m))
-    got = scale.low_m, scale.high_m, scale.step_m, scale.shown_m
+    settings = LiveSettings(sonar, range_m=set_m)
+    scale = range_scale(settings)
+    got = scale.low, scale.high, scale.step, shown_range_m(settings)
     assert got == pytest.approx(expected)  # decimal fractions
 
 
 @pytest.mark.parametrize("name", presets())
 def test_each_preset_takes_every_range_of_its_slider(name):
-    scale = RangeScale.of(LiveSettings(name))
-    assert scale.low_m < scale.shown_m <= scale.high_m
-    for range_m in (scale.low_m, scale.high_m):
+    scale = range_scale(LiveSettings(name))
+    assert scale.low < shown_range_m(LiveSettings(name)) <= scale.high
+    for range_m in (scale.low, scale.high):
         device = LiveSettings(name, range_m=range_m).device
         assert device.range_max_m == range_m == allowed_range_m(device, range_m)
 

@@ -40,7 +40,8 @@ def test_table_gives_gamma_variates(shape):
         probability = np.searchsorted(draws, out[int(q * len(u))]) / len(u)
         assert probability == pytest.approx(q, abs=SIGMAS * np.sqrt(q * (1 - q) / len(u)))
     if shape == 1:
-        np.testing.assert_allclose(out, -np.log1p(-u), rtol=3e-4)
+        # the table of this shape is a straight line: float32, of the variate, the table and its slope
+        np.testing.assert_allclose(out, -np.log1p(-u), rtol=5e-7)
     assert np.isfinite(gamma_from_exponential(shape)[0]).all()
 
 
@@ -53,7 +54,7 @@ def test_moments_of_the_k_distribution(shape):
     second, fourth = (
         np.prod([1 + j / shape for j in range(m)]) * np.prod(np.arange(1, m + 1)) for m in (2, 4)
     )
-    assert second - 1 == pytest.approx(1 + 2 / shape)  # contrast squared
+    assert second - 1 == pytest.approx(1 + 2 / shape, rel=1e-14)  # contrast squared
     assert (x**2).mean() == pytest.approx(second, abs=SIGMAS * np.sqrt((fourth - second**2) / n))
 
 

@@ -423,10 +423,9 @@ def test_a_row_that_a_level_edge_leaves_out_stays_empty_however_far_another_edge
 
 @pytest.mark.parametrize("engine", ["cpu", "opengl"])
 def test_an_infinite_plane_is_the_same_ten_kilometres_away(engine):
-    """It was 2 km wide: vehicles that went further had no floor. OpenGL's vertices are single precision."""
+    """It was 2 km wide: vehicles that went further had no floor. tests/raster/test_sheets.py has where it lies."""
     ground = sg.Body("ground", primitives.plane()[0], reflectivity=0.4)
     with sg.Simulator(sg.Scene([ground]), SONAR, sg.Acoustics.ideal(), SAMPLING, engine=engine) as simulator:
         near, far = (simulator.ping(sg.pose(x, -x, 2.0, 0.0, 0.3, 0.2)).intensity for x in (300.0, 9_900.0))
     assert near.any()
-    # a millimetre, the step of single precision at 10 km, of the 2 m between sonar and plane
-    assert np.abs(far - near).sum() < (1e-5 if engine == "cpu" else 1e-3) * near.sum()
+    assert np.abs(far - near).sum() < (1e-5 if engine == "cpu" else 5e-5) * near.sum()

@@ -34,9 +34,9 @@ def test_all_messages_are_read_in_their_order_by_one_other_thread(opened):
 
     inbox = opened(receive, 1000)
     for k in range(1000):
-        inbox.put(b"%d" % k)
+        inbox.tell(b"%d" % k)
     wait_until(lambda: len(read) == 1000)
-    assert read == [b"%d" % k for k in range(1000)] and inbox.dropped == 0
+    assert read == [b"%d" % k for k in range(1000)] and inbox.missed == 0
     assert len(threads) == 1 and threads != {threading.current_thread()}
 
 
@@ -49,13 +49,13 @@ def test_a_slow_reader_gets_the_newest_messages(opened):
         read.append(message)
 
     inbox = opened(receive, 2)
-    inbox.put(b"first")
+    inbox.tell(b"first")
     assert begun.wait(WAIT_S)
     for k in range(100):
-        inbox.put(b"%d" % k)
+        inbox.tell(b"%d" % k)
     go_on.set()
     wait_until(lambda: len(read) == 3)
-    assert read == [b"first", b"98", b"99"] and inbox.dropped == 98
+    assert read == [b"first", b"98", b"99"] and inbox.missed == 98
 
 
 def test_an_error_of_the_reader_is_logged_once_and_ends_nothing(opened, caplog):
@@ -68,7 +68,7 @@ def test_an_error_of_the_reader_is_logged_once_and_ends_nothing(opened, caplog):
     inbox = opened(receive, 10)
     with caplog.at_level(logging.ERROR):
         for _ in range(5):
-            inbox.put(b"x")
+            inbox.tell(b"x")
         wait_until(lambda: len(read) == 5)
         inbox.close()
     assert [record.getMessage() for record in caplog.records] == [
@@ -81,7 +81,7 @@ def test_a_closed_inbox_is_silent_and_has_no_thread(opened):
     inbox = opened(read.append, 1)
     inbox.close()
     inbox.close()
-    inbox.put(b"late")
+    inbox.tell(b"late")
     assert not read and not [t for t in threading.enumerate() if t.name == "inbox /sonar/pose"]
 
 
@@ -93,7 +93,7 @@ def test_the_reader_may_close_its_inbox(opened):
         closed.set()
 
     inbox = opened(receive, 1)
-    inbox.put(b"x")
+    inbox.tell(b"x")
     assert closed.wait(WAIT_S)
     wait_until(lambda: not [t for t in threading.enumerate() if t.name == "inbox /sonar/pose"])
 
@@ -104,7 +104,7 @@ def test_closing_does_not_wait_for_ever_for_a_reader_that_waits(opened, monkeypa
     full = queue.Queue(1)
     inbox = opened(full.put, 5)
     for _ in range(3):
-        inbox.put(b"x")
+        inbox.tell(b"x")
     wait_until(full.full)
     closing = threading.Thread(target=inbox.close, daemon=True)
     closing.start()

@@ -35,8 +35,9 @@ def test_a_ping_that_cannot_be_made_waits_and_is_dropped_when_the_next_is_due():
     assert not any(slot.is_due or slot.n_dropped for slot in steps(schedule, [100, 150, 180], is_ready=False))
     assert steps(schedule, [190])[0][:2] == (True, 0)  # late by less than a period
     assert steps(schedule, [200])[0][:2] == (True, 0)
-    assert not steps(schedule, [300, 400], is_ready=False)[1].is_due
-    assert steps(schedule, [450])[0][:2] == (True, 1)
+    late = steps(schedule, [300, 399, 400, 450, 701], is_ready=False)
+    assert [slot[:2] for slot in late] == [(False, 0), (False, 0), (False, 1), (False, 0), (False, 3)]
+    assert steps(schedule, [750])[0][:2] == (True, 0)
 
 
 def test_a_jump_of_time_begins_anew():

@@ -410,14 +410,17 @@ def test_in_the_background_a_slow_ping_holds_no_step_up(scene):
         assert publisher.step(0.0).has_pinged
         assert transport.holds.wait(WAIT_S)
         results = [publisher.step(k / 100) for k in range(1, 36)]  # each returns, though nothing is sent
-        assert not any(result.has_pinged or result.n_dropped for result in results)
+        assert not any(result.has_pinged for result in results)
+        # those of 0.1 and 0.2, at the times of the pings after them; that of 0.3 still waits
+        assert [k for k, result in enumerate(results, 1) if result.n_dropped] == [20, 30]
+        assert publisher.counts.dropped == 2
         clock = [message.clock.nanosec for message in transport.messages("/clock")]
         assert clock == list(range(0, 360_000_000, CLOCK_NS))
         transport.is_free.set()
         while not (result := publisher.step(0.36)).has_pinged:  # until the thread is done
             pass
-        assert result.n_dropped == 2  # those of 0.1 and 0.2; that of 0.3 is late by less than a period
-    assert publisher.counts.pings == 2
+        assert result.n_dropped == 0  # that of 0.3 is late by less than a period
+    assert (publisher.counts.pings, publisher.counts.dropped) == (2, 2)
     stamps = [m.header.stamp.nanosec for m in transport.messages("/sonar/projected_image")]
     assert stamps == [0, 360_000_000]
 
@@ -507,6 +510,13 @@ def test_a_mistake_in_bodies_is_raised_by_its_step_and_loses_no_other(scene, loo
             publisher.step(0.06, sg.pose(50), wrong)
         assert publisher.step(0.1).has_pinged
     assert seen_balls(loopback, [[2.5, -0.1, -2]])[-1] == [True]
+
+
+def test_a_model_without_bodies_is_named_as_one_by_its_step(scene, loopback):
+    scene = sg.Scene(scene.bodies, scene.sonar_pose, models={"rov": AT})
+    message = r"bodies of the scene \(got 'rov', a model without bodies"
+    with publisher_of(scene, loopback, rate_hz=10.0) as publisher, pytest.raises(Error, match=message):
+        publisher.step(0.06, AT, {"rov": AT})
 
 
 def test_a_ping_that_fails_at_poses_of_others_is_counted_and_at_the_callers_raised(

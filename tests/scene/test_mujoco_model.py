@@ -38,9 +38,9 @@ def test_bodies_and_geoms_of_the_world_are_bodies():
     assert (warned, scene.sonar_pose) == ([], None)
     found = boxes_of(scene)
     assert list(found) == ["floor", "arm", "body_2"]
-    np.testing.assert_allclose(found["floor"], [[-4, -3, 0], [4, 3, 0]], atol=ROUNDING)
-    np.testing.assert_allclose(found["arm"], [[1, -0.1, -0.2], [3, 0.1, 0.2]], atol=ROUNDING)
-    np.testing.assert_allclose(found["body_2"], [[2.7, -0.3, -0.3], [3.3, 0.3, 0.3]], atol=ROUNDING)
+    np.testing.assert_allclose(found["floor"], [[-4, -3, 0], [4, 3, 0]], rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(found["arm"], [[1, -0.1, -0.2], [3, 0.1, 0.2]], rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(found["body_2"], [[2.7, -0.3, -0.3], [3.3, 0.3, 0.3]], rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize(
@@ -136,11 +136,13 @@ def test_the_sonar_is_a_site_or_a_camera():
     camera = "<camera name='my_sonar' pos='0 0 1' xyaxes='0 -1 0 0 0 1'/>"  # looks along x
     rov = "<body name='rov' pos='1 2 3' euler='0 0 .5'>{}<geom size='1'/><body><geom size='2'/></body></body>"
     scene, _ = load(model_of(rov.format(camera)))
-    np.testing.assert_allclose(scene.sonar_pose, pose(1, 2, 3, 0, 0, 0.5) @ pose(0, 0, 1), atol=ROUNDING)
+    np.testing.assert_allclose(
+        scene.sonar_pose, pose(1, 2, 3, 0, 0, 0.5) @ pose(0, 0, 1), rtol=0, atol=ROUNDING
+    )
     assert [body.name for body in scene.bodies] == ["body_2"]  # the device itself returns no echo
     site = "<site name='FLS' pos='0 1 0' euler='0 .2 0'/>"
     scene, _ = load(model_of(site + rov.format(camera)))
-    np.testing.assert_allclose(scene.sonar_pose, pose(0, 1, 0, 0, 0.2, 0), atol=ROUNDING)
+    np.testing.assert_allclose(scene.sonar_pose, pose(0, 1, 0, 0, 0.2, 0), rtol=0, atol=ROUNDING)
     assert [body.name for body in scene.bodies] == ["rov", "body_2"]
 
 
@@ -161,7 +163,7 @@ def test_poses_follow_the_simulation():
     poses = sg.mujoco_poses(scene, data)
     assert list(poses) == ["body_2"]  # geoms of the world do not move
     np.testing.assert_array_equal(poses["body_2"], now.bodies[1].pose)
-    np.testing.assert_allclose(now.sonar_pose, pose(1, 0, 1, 0, 0, 0.5), atol=ROUNDING)
+    np.testing.assert_allclose(now.sonar_pose, pose(1, 0, 1, 0, 0, 0.5), rtol=0, atol=ROUNDING)
     np.testing.assert_array_equal(now.sonar_pose, sg.mujoco_sonar_pose(data))
     assert sg.mujoco_poses(scene.without("body_2"), data) == {}
 
@@ -175,11 +177,11 @@ def test_further_sonars_are_named():
     body = sg.mujoco_sonar_pose(data) @ pose(0, 0, -1)
     np.testing.assert_array_equal(sg.mujoco_sonar_pose(data, "sonar"), sg.mujoco_sonar_pose(data))
     aft = sg.mujoco_sonar_pose(data, "aft")  # the site, not the camera
-    np.testing.assert_allclose(aft, body @ pose(-1, 0, 0, 0, 0, 0.5), atol=ROUNDING)
+    np.testing.assert_allclose(aft, body @ pose(-1, 0, 0, 0, 0, 0.5), rtol=0, atol=ROUNDING)
     # a camera without a rotation looks down, its picture's top to +y
     down = sg.mujoco_sonar_pose(data, "down")
-    np.testing.assert_allclose(down[:3, 0], -body[:3, 2], atol=ROUNDING)
-    np.testing.assert_allclose(down[:3, 2], body[:3, 1], atol=ROUNDING)
+    np.testing.assert_allclose(down[:3, 0], -body[:3, 2], rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(down[:3, 2], body[:3, 1], rtol=0, atol=ROUNDING)
     with pytest.raises(Error, match=r"name must be .* \(got 'aftt'; did you mean 'aft'"):
         sg.mujoco_sonar_pose(data, "aftt")
     with pytest.raises(Error, match=r"name must be a str \(got int"):

@@ -27,6 +27,7 @@ import os
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -166,16 +167,16 @@ def measure_rate(job: Job, manifest: Manifest, rounds: int, workers: int, folder
     return out | {"kB a ping": sum(sizes) / last.pings / 1e3, "files a part": len(sizes)}
 
 
-def measure_writing(job: Job, manifest: Manifest, rounds: int, folder: str) -> dict[str, tuple[float, float]]:
-    """Return seconds a ping of STAGES and "all", by the clock and of processors, like a worker."""
-    url = begin_batch(job, manifest, f"{folder}/watched")
+def like_worker(measure: Callable, job: Job, manifest: Manifest, rounds: int, folder: str) -> dict:
+    """Return what `measure` does of a batch of its own, in a process with as many threads as a worker."""
+    url = begin_batch(job, manifest, f"{folder}/{measure.__name__}")
     spawning = multiprocessing.get_context("spawn")
     with environment(**dict.fromkeys(ONE_THREAD, "1")), ProcessPoolExecutor(1, spawning) as child:
-        return child.submit(time_maker, job.plain, url, rounds).result()
+        return child.submit(measure, job.plain, url, rounds).result()
 
 
-def time_maker(job: dict, url: str, rounds: int) -> dict[str, tuple[float, float]]:
-    """Do the work of `measure_writing`, on one core."""
+def measure_writing(job: dict, url: str, rounds: int) -> dict[str, tuple[float, float]]:
+    """Return seconds a ping of STAGES and "all", by the clock and of processors, on one core."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     maker, spent = Batch(Job(**job), Folder(url)).maker, defaultdict(lambda: np.zeros(2))
     running = []  # stages; of a file that the store writes, its stage counts, and not "other files"
@@ -208,16 +209,8 @@ def time_maker(job: dict, url: str, rounds: int) -> dict[str, tuple[float, float
     return {stage: tuple(np.median(pairs, axis=0).tolist()) for stage, pairs in found.items()}
 
 
-def measure_flushes(job: Job, manifest: Manifest, rounds: int, folder: str) -> dict[str, float]:
-    """Return the times of parts that are flushed to the disk and of parts that are not, like a worker."""
-    url = begin_batch(job, manifest, f"{folder}/flushed")
-    spawning = multiprocessing.get_context("spawn")
-    with environment(**dict.fromkeys(ONE_THREAD, "1")), ProcessPoolExecutor(1, spawning) as child:
-        return child.submit(time_flushes, job.plain, url, rounds).result()
-
-
-def time_flushes(job: dict, url: str, rounds: int) -> dict[str, float]:
-    """Do the work of `measure_flushes`."""
+def measure_flushes(job: dict, url: str, rounds: int) -> dict[str, float]:
+    """Return the times of parts that are flushed to the disk and of parts that are not."""
     maker, flushes_s, parts_s = Batch(Job(**job), Folder(url)).maker, [], {True: [], False: []}
     real = {name: getattr(folder_module, name) for name in ("sync", "sync_file_system")}
     is_flushed = False
@@ -329,9 +322,9 @@ def run(options) -> dict:
         if {"rate", "plan"} & parts:
             found["rate"] = measure_rate(job, manifest, rounds, options.workers, folder)
         if "writing" in parts:
-            found["writing"] = measure_writing(job, manifest, rounds, folder)
+            found["writing"] = like_worker(measure_writing, job, manifest, rounds, folder)
         if "flushes" in parts:
-            found["flushes"] = measure_flushes(job, manifest, rounds, folder)
+            found["flushes"] = like_worker(measure_flushes, job, manifest, rounds, folder)
         if "plan" in parts:
             disk = disk_mb_s(folder, 4_000_000 if quick else 256_000_000)
             found["plan"] = plan_of(found["rate"], manifest, disk)

@@ -9,6 +9,7 @@ where nothing else is said. OpenGL draws by the driver that is there: by softwar
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 
@@ -45,23 +46,13 @@ def nothing() -> sg.Scene:
     return sg.Scene([], np.eye(4), "nothing")
 
 
-def turns(stack, scene, rounds: int, contenders: dict) -> dict:
-    """Time pings of several simulators of a scene in turns.
-
-    contenders : {name: (sonar, acoustics, settings, options of a ping, function of the ping or None)}
-    """
-    entered = {}
-    for name, (sonar, acoustics, settings, options, finish) in contenders.items():
-        simulator = stack.enter_context(sg.Simulator(scene, sonar, acoustics, **settings))
-        simulator.plan([scene.sonar_pose])
-
-        def run(number, simulator=simulator, options=options, finish=finish):
-            ping = simulator.ping(harness.creep(scene.sonar_pose, number), **options)
-            if finish is not None:
-                finish(ping)
-
-        entered[name] = run
-    return harness.take_turns(entered, rounds)
+def pinger(
+    stack, scene, sonar, acoustics=IDEAL, engine: str | None = None, finish=lambda ping: None, **options
+) -> Callable[[int], None]:
+    """Return a contender that pings from a scene's own pose, with options of a ping, which `finish` then takes."""
+    simulator = stack.enter_context(sg.Simulator(scene, sonar, acoustics, engine=engine))
+    simulator.plan([scene.sonar_pose])
+    return lambda number: finish(simulator.ping(harness.creep(scene.sonar_pose, number), **options))
 
 
 def engines_of(name: str, rounds: int) -> dict[str, float]:
@@ -69,14 +60,12 @@ def engines_of(name: str, rounds: int) -> dict[str, float]:
     scene, sonar = make_scene(name), make_sonar(name, "wide")
     with ExitStack() as stack:
         contenders = {
-            "cpu": (sonar, IDEAL, {"engine": "cpu"}, {}, None),
-            "labels": (sonar, IDEAL, {"engine": "cpu"}, {"labels": True}, None),
+            "cpu": pinger(stack, scene, sonar, engine="cpu"),
+            "labels": pinger(stack, scene, sonar, engine="cpu", labels=True),
         }
         with suppress(sg.Error):
-            with sg.Simulator(scene, sonar, IDEAL, engine="opengl"):
-                pass
-            contenders["opengl"] = (sonar, IDEAL, {"engine": "opengl"}, {}, None)
-        times = turns(stack, scene, rounds, contenders)
+            contenders["opengl"] = pinger(stack, scene, sonar, engine="opengl")
+        times = harness.take_turns(contenders, rounds)
     out = {"ping, ms": float(np.median(times["cpu"]))}
     if "opengl" in times:
         out["opengl / cpu"] = harness.ratio(times["opengl"], times["cpu"])
@@ -120,33 +109,25 @@ def others(rounds: int) -> dict[str, float]:
     sonar, p900 = make_sonar("pylon", "wide"), sg.load_sonar("p900-45")
     out = {}
     with ExitStack() as stack, collected_warnings():  # that no echo came back
-        empty = {"cpu": (sonar, IDEAL, {"engine": "cpu"}, {}, None)}
-        out["nothing, ms"] = float(np.median(turns(stack, nothing(), rounds, empty)["cpu"]))
-    with ExitStack() as stack:
-        one = {"cpu": (sonar, IDEAL, {"engine": "cpu"}, {}, None)}
-        out["one triangle, ms"] = float(np.median(turns(stack, one_triangle(), rounds, one)["cpu"]))
+        for what, scene in (("nothing, ms", nothing()), ("one triangle, ms", one_triangle())):
+            alone = {"cpu": pinger(stack, scene, sonar, engine="cpu")}
+            out[what] = float(np.median(harness.take_turns(alone, rounds)["cpu"]))
     scene, ideal = sg.load_scene("pylon"), sg.Acoustics(multipath="none")
     # sand and concrete are too rough to reflect; bodies of known reflectivity alone are taken for smoother
     smoother = [replace(body, material=None) for body in scene.bodies]
     smooth = sg.Scene(smoother, scene.sonar_pose, scene.name)
     with ExitStack() as stack:
-        times = turns(
-            stack,
-            smooth,
-            rounds,
-            {
-                "without": (p900, ideal, {}, {}, None),
-                "with": (p900, sg.Acoustics(multipath="incoherent"), {}, {}, None),
-            },
-        )
+        ways = {"without": ideal, "with": sg.Acoustics(multipath="incoherent")}
+        contenders = {way: pinger(stack, smooth, p900, acoustics) for way, acoustics in ways.items()}
+        times = harness.take_turns(contenders, rounds)
     with sg.Simulator(smooth, p900, sg.Acoustics(multipath="incoherent")) as simulator:
         simulator.plan([scene.sonar_pose])
         out["image sources"] = internals.count_image_sources(simulator, scene.sonar_pose)
     out["multipath"] = harness.ratio(times["with"], times["without"])
     with ExitStack() as stack:
-        physical = sg.Acoustics.physical()
-        frame = {"frame": (p900, physical, {}, {"noise": sg.Noise.physical()}, picture)}
-        out["frame, ms"] = float(np.median(turns(stack, scene, rounds, frame)["frame"]))
+        physical, noise = sg.Acoustics.physical(), sg.Noise.physical()
+        frame = {"frame": pinger(stack, scene, p900, physical, finish=picture, noise=noise)}
+        out["frame, ms"] = float(np.median(harness.take_turns(frame, rounds)["frame"]))
     return out
 
 

@@ -41,11 +41,11 @@ def over_median(times, n: int):
     return times[n:] / np.median(windows, axis=1)
 
 
-def swim(name: str, tolerance: float, n: int, options: dict) -> dict[str, float]:
+def swim(name: str, tolerance: float, n: int, engine: str) -> dict[str, float]:
     """Return the figures of one scene."""
     scene, sonar = sg.load_scene(name), sg.load_sonar("p900-45")
     clock_s, busy_s, estimates, rows = [], [], [], []
-    with sg.Simulator(scene, sonar, tolerance=tolerance, **options) as simulator:
+    with sg.Simulator(scene, sonar, tolerance=tolerance, engine=engine) as simulator:
         for number in range(n):
             starts = time.perf_counter(), time.process_time()
             ping = simulator.ping(path(scene.sonar_pose, number))
@@ -77,8 +77,7 @@ def run(options) -> dict:
     """Return the figures of each scene."""
     warnings.simplefilter("ignore", ToleranceWarning)  # some poses are close to a body
     scenes = (options.only,) if options.only else SCENES[:1] if options.quick else SCENES
-    more = {"engine": options.engine}
-    found = {name: swim(name, options.tolerance, options.rounds, more) for name in scenes}
+    found = {name: swim(name, options.tolerance, options.rounds, options.engine) for name in scenes}
     aims = [Aim(f"{name}: worst ping, medians", one["worst, busy"], "", LIMIT) for name, one in found.items()]
     return {"scenes": found, "aims": aims}
 

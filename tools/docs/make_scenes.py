@@ -150,11 +150,11 @@ def save(path: Path, root, description: str):
 # --- the diver: joints, and shapes strung between them
 
 
-def turn(axis, side=(0, 1, 0)) -> np.ndarray:
-    """Return roll, pitch, yaw that turn z along `axis`, and y as near to `side` as that allows."""
+def turn(axis) -> np.ndarray:
+    """Return roll, pitch, yaw that turn z along `axis`, and leave y as near to itself as that allows."""
     z = np.asarray(axis, float) / np.linalg.norm(axis)
-    x = np.cross(side, z)
-    if np.linalg.norm(x) < 1e-6:  # along the side itself
+    x = np.cross((0, 1, 0), z)
+    if np.linalg.norm(x) < 1e-6:  # along y itself
         x = np.array([1.0, 0, 0])
     x /= np.linalg.norm(x)
     y = np.cross(z, x)

@@ -342,14 +342,11 @@ class OculusServer:
             family=socket.AF_INET,
             allow_broadcast=True,
         )
-        own = transport.get_extra_info("sockname")[0]
+        own, part = transport.get_extra_info("sockname")[0], self._device.model.part_number
+        temperature_c = self._device.head.acoustics.water.temperature_c
         try:
             while True:
                 connected = next((program.address for program in self._programs.values()), "0.0.0.0")
-                part, temperature_c = (
-                    self._device.model.part_number,
-                    self._device.head.acoustics.water.temperature_c,
-                )
                 message = status_message(DEVICE_ID, part, own, connected, temperature_c)
                 try:
                     # in a thread: the look-up of a name may take seconds

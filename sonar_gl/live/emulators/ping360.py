@@ -142,11 +142,10 @@ class Ping360Server(asyncio.DatagramProtocol):
                 if scanning is not None:  # any message ends a scan
                     scanning.cancel()
                     scanning = None
-                if message.kind == AUTO_TRANSMIT:
-                    scan = self._checked(parse_scan, message, address)
-                    scanning = scan and asyncio.create_task(self._scan_on(scan, address))
-                else:
-                    with self._refusing(message.kind, address):
+                with self._refusing(message.kind, address):
+                    if message.kind == AUTO_TRANSMIT:
+                        scanning = asyncio.create_task(self._scan_on(parse_scan(message.payload), address))
+                    else:
                         await self._answer(message, address)
         finally:
             if scanning is not None:
@@ -167,13 +166,11 @@ class Ping360Server(asyncio.DatagramProtocol):
             coming.cancel()
 
     async def _answer(self, message: PingMessage, address) -> None:
-        """Answer a message."""
+        """Answer a message; raises Error for a wrong one."""
         kind = message.kind
         if kind == TRANSDUCER:
-            asked = self._checked(parse_transducer, message, address)
-            if asked is not None:
-                self._last, transmits = asked
-                self._send(self._last.data(await self._counts(self._last) if transmits else b""), address)
+            self._last, transmits = parse_transducer(message.payload)
+            self._send(self._last.data(await self._counts(self._last) if transmits else b""), address)
         elif kind == GENERAL_REQUEST and len(message.payload) == 2:
             self._send(self._reply(int.from_bytes(message.payload, "little")), address)
         elif kind in (SET_DEVICE_ID, RESET, MOTOR_OFF):
@@ -190,17 +187,9 @@ class Ping360Server(asyncio.DatagramProtocol):
         }
         return replies.get(kind) or _nack(kind, "this device does not have the message")
 
-    def _checked(self, parse, message: PingMessage, address):
-        """Return what a message says, or None and a refusal."""
-        try:
-            return parse(message.payload)
-        except Error as why:
-            self._send(_nack(message.kind, str(why)), address)
-            return None
-
     @contextmanager
     def _refusing(self, kind: int, address):
-        """Refuse a type of message if its ping fails, but where the machine is at fault."""
+        """Refuse a type of message that is wrong, or whose ping fails, but where the machine is at fault."""
         try:
             yield
         except MachineError:

@@ -46,7 +46,6 @@ class SimulatedHead:
         self.acoustics, self.track = acoustics, track
         self._noise, self._tolerance, self._seed = noise, tolerance, seed
         self._simulators = SimulatorPool(scene)
-        self._counts = sonar.counts
         self.renderer = self._simulators.simulator(sonar, acoustics, tolerance).gl_info["renderer"]
 
     def ping(
@@ -61,10 +60,7 @@ class SimulatedHead:
         """
         pose = self.track.at(time_s)
         pose = pose if turn is None else pose @ turn
-        # another gain needs no other simulator, whose first ping takes far longer
-        simulator = self._simulators.simulator(
-            replace(sonar, counts=self._counts), acoustics, self._tolerance
-        )
+        simulator = self._simulators.simulator(sonar, acoustics, self._tolerance)
         with collected_warnings():  # a device does not say that it sees nothing
             ping = simulator.ping(pose, self._noise, self._seed, ping_number=number, time_s=time_s)
         return replace(ping, sonar=sonar)

@@ -10,6 +10,7 @@ from threading import Thread
 from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
 from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error, closed_error
+from sonar_gl.core.worker import Job
 from sonar_gl.imaging.fan_image import ANCHORS
 from sonar_gl.live.motion import SPEED_M_S
 from sonar_gl.live.session import LiveSession
@@ -17,7 +18,7 @@ from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
 from sonar_gl.live.view.number_scale import NumberScale
 from sonar_gl.live.view.price_table import prices_html
-from sonar_gl.live.view.range_scale import RangeScale, allowed_range_m
+from sonar_gl.live.view.range_scale import allowed_range_m, range_scale, shown_range_m
 from sonar_gl.noise.settings import PRESETS
 from sonar_gl.sonar.sonar import Sonar, presets
 
@@ -69,7 +70,7 @@ class ControlPanel:
     ):
         self._gui, self._session, self._actions = server.gui, session, actions
         self._shown: list[tuple] = []  # handles, and what settings have each show
-        self._numbers: list[tuple] = []  # sliders, their scales, and what settings have each show
+        self._sliders: list[tuple] = []  # handles, and what scale settings have each have
         self._terms: dict[str, object] = {}
         self._pricing: Thread | None = None
         self._priced: tuple | None = None  # what the prices on show are of
@@ -93,23 +94,15 @@ class ControlPanel:
         """Have all controls show the settings that the session has."""
         settings = self._session.settings
         if self._priced is not None and self._priced != _priced_by(settings):
-            self._hide_prices()
-        self._scale_range(settings)
-        for slider, scale, shown in self._numbers:
-            _scale_slider(slider, scale.holding(shown(settings)))
+            self._prices.content, self._priced = "", None
+        for slider, scale_of in self._sliders:
+            _scale_slider(slider, scale_of(settings))
         for handle, shown in self._shown:
             self._actions.show(handle, shown(settings))
         is_recording = self._session.output.is_recording
         label = "Stop recording" if is_recording else "Record"
         if self._record.label != label:
             self._record.label = label
-
-    def _scale_range(self, settings: LiveSettings) -> None:
-        """Have the slider of the range end where the sonar does."""
-        scale = RangeScale.of(settings)
-        _scale_slider(
-            self._range, NumberScale("range, m", scale.low_m, scale.high_m, scale.step_m, scale.decimals)
-        )
 
     def show_mover(self, mover: str) -> None:
         """Show what moves the sonar."""
@@ -152,16 +145,22 @@ class ControlPanel:
         hint: str | None = None,
     ) -> None:
         """Add a slider that shows the number in force, also one beyond its ends, and refuses others beyond them."""
-        value = shown(self._session.settings)
-        wide = scale.holding(value)
-        slider = self._gui.add_slider(wide.label, wide.low, wide.high, wide.step, value, hint=hint)
-        slider.precision = wide.decimals
-        self._numbers.append((slider, scale, shown))
-        self._connect(
-            slider,
-            shown,
-            lambda value: change(scale.holding(shown(self._session.settings)).check(value)),
+
+        def wide(settings: LiveSettings) -> NumberScale:
+            return scale.holding(shown(settings))
+
+        self._add_slider(wide, shown, lambda value: change(wide(self._session.settings).check(value)), hint)
+
+    def _add_slider(self, scale_of: Callable, shown: Callable, change: Callable, hint: str | None) -> None:
+        """Add a slider whose scale and number depend on the settings."""
+        settings = self._session.settings
+        scale = scale_of(settings)
+        slider = self._gui.add_slider(
+            scale.label, scale.low, scale.high, scale.step, shown(settings), hint=hint
         )
+        slider.precision = scale.decimals
+        self._sliders.append((slider, scale_of))
+        self._connect(slider, shown, change)
 
     def _add_choice(
         self,
@@ -212,12 +211,12 @@ class ControlPanel:
                 initial_value=shown,
                 hint="'sonar-gl sonars' lists what each is.",
             )
-            scale = RangeScale.of(settings)
-            self._range = gui.add_slider(
-                "range, m", scale.low_m, scale.high_m, scale.step_m, _shown_range(settings),
-                hint="Up to the greatest that the sonar allows, where that is known.",
-            )  # fmt: skip
-            self._range.precision = scale.decimals
+            self._add_slider(
+                range_scale,
+                shown_range_m,
+                lambda value: session.change(range_m=float(value)),
+                "Up to the greatest that the sonar allows, where that is known.",
+            )
             self._add_number(
                 NumberScale("tolerance, %", 0.5, 20.0, 0.5, 1),
                 lambda settings: round(100 * settings.tolerance, 6),
@@ -239,7 +238,6 @@ class ControlPanel:
             )
         self._shown.append((sonar, lambda settings: self._shown_sonar(sonar, settings.sonar)))
         self._actions.connect_from(sonar, self._change_sonar)
-        self._connect(self._range, _shown_range, lambda value: session.change(range_m=float(value)))
 
     def _change_sonar(self, client, name: str) -> None:
         """Take another sonar, at the range that is set, or else at one that it allows, and say so."""
@@ -342,16 +340,13 @@ class ControlPanel:
         """Have the terms priced in a thread, since that takes seconds."""
         if self._pricing is not None and self._pricing.is_alive():
             raise Error("terms are being priced already (wait until they are)")
-        of = _priced_by(self._session.settings)
+        of, job = _priced_by(self._session.settings), Job(lambda: self._session.prices(self._check_open))
 
         def find():
-            try:
-                prices = self._session.prices(self._check_open)
-                self._actions.ask(client, lambda: self._show_prices(prices, of))
-            except Exception as why:
-                self._actions.ask(client, lambda why=why: _raise(why))
-            finally:
-                self._actions.ask(client, lambda: setattr(self._price, "disabled", False))
+            job.begin()
+            # or says why there are none
+            self._actions.ask(client, lambda: self._show_prices(job.result(), of))
+            self._actions.ask(client, lambda: setattr(self._price, "disabled", False))
 
         self._price.disabled = True
         self._pricing = Thread(target=find, name="sonar_gl prices", daemon=True)
@@ -366,9 +361,6 @@ class ControlPanel:
     def _check_open(self) -> None:
         if self._is_closed:
             raise closed_error("page")
-
-    def _hide_prices(self) -> None:
-        self._prices.content, self._priced = "", None
 
     def _show_prices(self, prices: list[Price], of: tuple) -> None:
         """Show the prices of some settings, until these change."""
@@ -446,20 +438,12 @@ def _place_text(path: Path, also: str = "") -> str:
     return f"{path.name}{also} in {path.parent}"
 
 
-def _raise(why: Exception) -> None:
-    raise why
-
-
 def _scale_slider(slider, scale: NumberScale) -> None:
     """Have a slider end where a scale does."""
     if (slider.min, slider.max, slider.step) != (scale.low, scale.high, scale.step):
         slider.min, slider.max, slider.step = scale.low, scale.high, scale.step
     if slider.precision != scale.decimals:
         slider.precision = scale.decimals
-
-
-def _shown_range(settings: LiveSettings) -> float:
-    return RangeScale.of(settings).shown_m
 
 
 def _shown_noise(settings: LiveSettings) -> str:

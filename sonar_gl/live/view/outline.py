@@ -154,10 +154,8 @@ class PictureSector:
         """Return which pixels of the whole picture the part shows."""
         height, width = self.shape
         right, down = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        right_m, down_m = (
-            right / self.rows_per_m - self.width_m / 2,
-            down / self.rows_per_m - self.height_m / 2,
-        )
+        right_m = right / self.rows_per_m - self.width_m / 2
+        down_m = down / self.rows_per_m - self.height_m / 2
         azimuth, range_m = self._bearing(right_m, down_m)
         near_m, far_m = self.geometry.range_edges_m
         from_side_m = range_m * np.sin(self._half_rad - abs(azimuth - self._middle_rad))

@@ -19,9 +19,8 @@ JPEG_QUALITY = 92  # below it, blocks of a JPEG look like speckle
 PANEL = "Ping"  # page.js has the same
 PANEL_WIDTH = 430  # pixels of the page
 ROW = "display:flex;flex-wrap:wrap;column-gap:0.5em;font-size:12.5px;line-height:1.6;font-variant-numeric:tabular-nums"
-FIRST_EM, SECOND_EM = 8, 5  # widths of the names in a row: "roll pitch yaw" is the longest
-# widths of values in a row of two: a narrower panel, as on a phone, has the second on a line of its own
-VALUE_EM = 10, 5
+# of name and value, first and second in a row: "roll pitch yaw" is the longest name; a phone has the second below
+WIDTHS_EM = (8, 10), (5, 5)
 NOTHING = "–"
 UNSELECT = "Unselect"
 SELECTED_NOTE = (
@@ -117,12 +116,12 @@ class PingPanel:
             seen = surface is not None and len(surface.points_m)
             text = f"{reading.body or 'no body'} at {reading.range_m:.2f} m, "
             text += "pink in 3D" if seen else "no surface in the main lobe"
-            content = _rows_html([[("last click", text, FIRST_EM)]])
+            content = _rows_html([[("last click", text)]])
         self._clicked.content = content
 
     def show_selected(self, name: str) -> None:
         """Show which body is selected, and what can be done with it; "" for none."""
-        content = "" if not name else _rows_html([[("selected", name, FIRST_EM)]]) + _note_html(SELECTED_NOTE)
+        content = "" if not name else _rows_html([[("selected", name)]]) + _note_html(SELECTED_NOTE)
         if self._selected.content != content:
             self._selected.content, self._unselect.visible = content, bool(name)
 
@@ -176,7 +175,7 @@ def _rows_html(rows) -> str:
             f'<span style="display:flex;column-gap:0.5em;flex:{"1" if alone else f"1 0 {width + value_em}em"}">'
             f'<span style="opacity:.6;width:{width}em;flex-shrink:0">{escape(name)}</span>'
             f'<span style="{value_style};overflow-wrap:anywhere">{escape(value)}</span></span>'
-            for (name, value, width), value_em in zip(row, VALUE_EM, strict=False)
+            for (name, value), (width, value_em) in zip(row, WIDTHS_EM, strict=False)
         )
         lines.append(f'<div style="{ROW}">{cells}</div>')
     return f'<div style="padding:2px 10px 6px 10px">{"".join(lines)}</div>'
@@ -189,15 +188,15 @@ def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
     estimate = NOTHING if frame.error_estimate is None else f"{100 * frame.error_estimate:.2g} %"
     is_pending = state.settings is not frame.settings
     rows = [
-        [("ping rate", PENDING, FIRST_EM)]
+        [("ping rate", PENDING)]
         if is_pending
         else [
-            ("ping rate", f"{frame.rate_hz:.1f} Hz" if frame.rate_hz else NOTHING, FIRST_EM),
-            ("samples", f"{frame.samples:,}".replace(",", "\u2009"), SECOND_EM),
+            ("ping rate", f"{frame.rate_hz:.1f} Hz" if frame.rate_hz else NOTHING),
+            ("samples", f"{frame.samples:,}".replace(",", "\u2009")),
         ],
-        [("error estimate", f"{estimate} at tolerance {100 * frame.settings.tolerance:g} %", FIRST_EM)],
-        [("x y z", f"{place} m", FIRST_EM)],
-        [("roll pitch yaw", angles, FIRST_EM)],
+        [("error estimate", f"{estimate} at tolerance {100 * frame.settings.tolerance:g} %")],
+        [("x y z", f"{place} m")],
+        [("roll pitch yaw", angles)],
     ]
     text = state.problem or " ".join(frame.notes)
     problem = _note_html(text, "#ff8a80") if text else ""
@@ -219,8 +218,8 @@ def _reading_html(reading: Reading | None) -> str:
             elevation = f"{math.degrees(reading.elevation_rad):+.1f}°"
     return _rows_html(
         [
-            [("under pointer", body, FIRST_EM)],
-            [("range", range_text, FIRST_EM), ("azimuth", azimuth, SECOND_EM)],
-            [("level", level, FIRST_EM), ("elevation", elevation, SECOND_EM)],
+            [("under pointer", body)],
+            [("range", range_text), ("azimuth", azimuth)],
+            [("level", level), ("elevation", elevation)],
         ]
     )

@@ -15,31 +15,17 @@ _NOTE = (
 )
 
 
-def share_text(share: float) -> str:
-    """Return a share in per cent.
+def amount_text(amount: float, unit: str, nothing: str) -> str:
+    """Return an amount and its unit; `nothing` in place of 0.
 
-    >>> share_text(0.0), share_text(0.0004), share_text(0.0123), share_text(1.2)
-    ('0 %', '< 0.1 %', '1.2 %', '120 %')
+    >>> [amount_text(ms, "ms", NOT_MEASURED) for ms in (0.0, 0.04, 0.26, 31.4)]
+    ['–', '< 0.1 ms', '0.3 ms', '31 ms']
     """
-    percent = 100 * share
-    if percent == 0:
-        return "0 %"
-    if percent < 0.1:
-        return "< 0.1 %"
-    return f"{percent:.1f} %" if percent < 9.95 else f"{percent:.0f} %"
-
-
-def time_text(time_ms: float) -> str:
-    """Return an added time; one that is 0 could not be told from the variation of the times.
-
-    >>> time_text(0.0), time_text(0.04), time_text(0.26), time_text(31.4)
-    ('–', '< 0.1 ms', '0.3 ms', '31 ms')
-    """
-    if time_ms == 0:
-        return NOT_MEASURED
-    if time_ms < 0.1:
-        return "< 0.1 ms"
-    return f"{time_ms:.1f} ms" if time_ms < 9.95 else f"{time_ms:.0f} ms"
+    if amount == 0:
+        return nothing
+    if amount < 0.1:
+        return f"< 0.1 {unit}"
+    return f"{amount:.1f} {unit}" if amount < 9.95 else f"{amount:.0f} {unit}"
 
 
 def prices_html(prices: Sequence[Price]) -> str:
@@ -48,7 +34,11 @@ def prices_html(prices: Sequence[Price]) -> str:
         return ""
     heads = ("term", "echo", "bins", "time")
     rows = [
-        (one.name, share_text(one.changes), share_text(one.changed_bins), time_text(one.time_ms))
+        (
+            one.name,
+            *(amount_text(100 * share, "%", "0 %") for share in (one.changes, one.changed_bins)),
+            amount_text(one.time_ms, "ms", NOT_MEASURED),
+        )
         for one in prices
     ]
     lines = [_row_html(heads, "opacity:.6"), *(_row_html(row) for row in rows)]

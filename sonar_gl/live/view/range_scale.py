@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.view.number_scale import NumberScale
 from sonar_gl.live.view.outline import round_step
 from sonar_gl.sonar.sonar import Sonar
 
@@ -14,40 +14,27 @@ UNKNOWN_LIMIT_FACTOR = 4.0
 STEPS = 200  # of the slider, about
 
 
-@dataclass(frozen=True)
-class RangeScale:
-    """The slider of the range.
+def range_scale(settings: LiveSettings) -> NumberScale:
+    """Return the slider of the range: to the limit of the sonar, or as far as it is set if that is more.
 
-    Attributes
-    ----------
-    low_m, high_m, step_m : bounds and step, metres
-    shown_m : the range that is set, metres, with no more decimals than the slider shows
-    decimals : that the slider shows
+    >>> range_scale(LiveSettings("p900-45")).high
+    100.0
     """
+    sonar, range_m = settings.sonar, settings.device.range_max_m
+    limit_m = sonar.range_limit_m or UNKNOWN_LIMIT_FACTOR * sonar.range_max_m
+    high_m = float(max(limit_m, range_m))
+    step_m = round_step(high_m / STEPS)
+    decimals = max(2, math.ceil(-math.log10(step_m)))
+    # the least range must exceed the near edge of the first bin; 0.7 / 0.1 is less than 7 in floating point
+    low_m = round(step_m * (math.floor(round(sonar.range_min_m / step_m, 6)) + 1), decimals)
+    shown_m = round(float(range_m), decimals)
+    low_m = min(low_m, shown_m)
+    return NumberScale("range, m", low_m, max(high_m, shown_m, low_m + step_m), step_m, decimals)
 
-    low_m: float
-    high_m: float
-    step_m: float
-    shown_m: float
-    decimals: int
 
-    @classmethod
-    def of(cls, settings: LiveSettings) -> RangeScale:
-        """Return the slider of some settings: to the limit of the sonar, or as far as it is set if that is more.
-
-        >>> RangeScale.of(LiveSettings("p900-45")).high_m
-        100.0
-        """
-        sonar, range_m = settings.sonar, settings.device.range_max_m
-        limit_m = sonar.range_limit_m or UNKNOWN_LIMIT_FACTOR * sonar.range_max_m
-        high_m = float(max(limit_m, range_m))
-        step_m = round_step(high_m / STEPS)
-        decimals = max(2, math.ceil(-math.log10(step_m)))
-        # the least range must exceed the near edge of the first bin; 0.7 / 0.1 is less than 7 in floating point
-        low_m = round(step_m * (math.floor(round(sonar.range_min_m / step_m, 6)) + 1), decimals)
-        shown_m = round(float(range_m), decimals)
-        low_m = min(low_m, shown_m)
-        return cls(low_m, max(high_m, shown_m, low_m + step_m), step_m, shown_m, decimals)
+def shown_range_m(settings: LiveSettings) -> float:
+    """Return the range that is set, metres, with no more decimals than its slider shows."""
+    return round(float(settings.device.range_max_m), range_scale(settings).decimals)
 
 
 def allowed_range_m(sonar: Sonar, range_m: float) -> float:

@@ -89,7 +89,7 @@ class SceneNodes:
         on_body: Callable[[str], None],
     ):
         self._server, self._session, self._actions = server, session, actions
-        self._pose, self._device, self._selected = None, None, ""
+        self._pose, self._fan_extent, self._selected = None, None, ""
         self._origin_m = SITE_STEP_M * np.round(session.pose[:3, 3] / SITE_STEP_M)
         self._pictures: list[PicturePart] = []
         self._picture_extent = None  # what these depend on
@@ -124,15 +124,17 @@ class SceneNodes:
 
     def show(self, frame: LiveFrame, pose: np.ndarray) -> None:
         """Show the sonar, its fan and the bodies as they were at a ping, and the gizmo where the sonar is now."""
-        device = frame.settings.device
-        if self._device is None or _extent(device) != _extent(self._device):
-            self._draw_fan(device)
-        self._device = device
+        extent = _extent(frame.settings.device)
+        if extent != self._fan_extent:
+            self._draw_fan(frame.settings.device)
+            self._fan_extent = extent
         if self._pose is None or not np.array_equal(self._pose, frame.pose):
             put(self._sonar, self._on_page(frame.pose))
             self._pose = frame.pose
         if not (self._is_dragging or self._actions.waits(id(self._gizmo))):
-            _put_if_moved(self._gizmo, self._on_page(pose))
+            at = self._on_page(pose)
+            if not _stands_at(self._gizmo, at):
+                put(self._gizmo, at)
         for name, node in self._bodies.items():
             world_from_body = frame.bodies.get(name, self._home[name])
             if world_from_body is not self._poses[name]:
@@ -377,11 +379,6 @@ def _extent(device: Sonar) -> tuple:
     return (
         device.fan_edges_rad, device.elevation_fov_deg, device.range_min_m, device.range_max_m, device.tilt_deg
     )  # fmt: skip
-
-
-def _put_if_moved(node, pose: np.ndarray) -> None:
-    if not _stands_at(node, pose):
-        put(node, pose)
 
 
 def _stands_at(node, pose: np.ndarray) -> bool:

@@ -28,8 +28,8 @@ from sonar_gl.raster.views import (
     NO_SAMPLES,
     BodiesInView,
     PatchesInView,
+    RenderWorkspace,
     SectorView,
-    check_samples,
     samples_of,
 )
 from sonar_gl.scene.scene import Scene
@@ -98,9 +98,9 @@ class _Array:
             self._array = np.empty((RESERVE * count, *self._array.shape[1:]), self._array.dtype)
         return self._array[:count]
 
-    def drop(self, most: int) -> None:
-        """Drop an array of more than so many rows; what was taken stays valid."""
-        if len(self._array) > most:
+    def drop_large(self) -> None:
+        """Drop an array of more than MAX_KEPT_SAMPLES rows; what was taken stays valid."""
+        if len(self._array) > MAX_KEPT_SAMPLES:
             self._array = self._array[:0].copy()
 
 
@@ -108,47 +108,35 @@ class _Image:
     """Samples of one view, side by side."""
 
     def __init__(self):
-        self._plane_echo, self._body_id, self._face_id = (
-            _Array(np.float32, 4),
-            _Array(np.uint16),
-            _Array(np.int32),
-        )
+        self._arrays = _Array(np.float32, 4), _Array(np.uint16), _Array(np.int32)
 
     def take(self, width: int, height: int, with_bodies: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return plane_echo, body_id and face_id of `SectorSamples`; body_id of no size if it is not wanted."""
-        size, shape = width * height, (height, width)
-        plane_echo = self._plane_echo.take(size).reshape(*shape, 4)
-        body_id = self._body_id.take(size).reshape(shape) if with_bodies else NO_BODIES
-        return plane_echo, body_id, self._face_id.take(size).reshape(shape)
+        size, shape, (plane_echo, body_id, face_id) = width * height, (height, width), self._arrays
+        numbers = body_id.take(size).reshape(shape) if with_bodies else NO_BODIES
+        return plane_echo.take(size).reshape(*shape, 4), numbers, face_id.take(size).reshape(shape)
 
     def drop_large(self) -> None:
-        for one in (self._plane_echo, self._body_id, self._face_id):
-            one.drop(MAX_KEPT_SAMPLES)
+        for one in self._arrays:
+            one.drop_large()
 
 
 class _HalfWorkspace:
     """What one thread draws into: a visibility buffer and its triangles."""
 
     def __init__(self):
-        self._depth, self._triangle = _Array(np.float32), _Array(np.int32)
-        self._planes, self._bodies, self._normals = (
-            _Array(np.float32, 4),
-            _Array(np.int32, 3),
-            _Array(float, 9),
-        )
+        self._buffer = _Array(np.float32), _Array(np.int32)
+        self._triangles = _Array(np.float32, 4), _Array(np.int32, 3), _Array(float, 9)
         self._chosen: list[np.ndarray] = []
 
     def buffer(self, rows: int, columns: int) -> VisibilityBuffer:
         """Return a visibility buffer."""
-        size = rows * columns
-        return VisibilityBuffer(
-            self._depth.take(size).reshape(rows, columns), self._triangle.take(size).reshape(rows, columns)
-        )
+        return VisibilityBuffer(*(one.take(rows * columns).reshape(rows, columns) for one in self._buffer))
 
     def triangles(self, count: int, has_normals: bool) -> Triangles:
         """Return room for so many triangles."""
-        normals = self._normals.take(count * has_normals)
-        return Triangles(self._planes.take(count), self._bodies.take(count), normals)
+        planes, bodies, normals = self._triangles
+        return Triangles(planes.take(count), bodies.take(count), normals.take(count * has_normals))
 
     def chosen(self, sector: int, most_patches: int) -> np.ndarray:
         """Return room for the chosen patches of a sector, (n, 2) int32."""
@@ -159,34 +147,27 @@ class _HalfWorkspace:
         return self._chosen[sector]
 
     def drop_large(self) -> None:
-        for one in (self._depth, self._triangle, self._planes, self._bodies, self._normals):
-            one.drop(MAX_KEPT_SAMPLES)
+        for one in (*self._buffer, *self._triangles):
+            one.drop_large()
 
 
-class CpuWorkspace:
-    """The memory that renderers draw into, one at a time.
+class CpuWorkspace(RenderWorkspace):
+    """Images, and what each thread draws into.
 
     Attributes
     ----------
-    most_samples : of a view
     halves : _HalfWorkspace of each thread
     """
 
     def __init__(self, most_samples: int):
-        self.most_samples, self.halves = most_samples, (_HalfWorkspace(), _HalfWorkspace())
-        self._images, self._other_images = [], []
-
-    def images(self, count: int, keep_last: bool) -> list[_Image]:
-        """Return as many images; with `keep_last` not those of the last call."""
-        if keep_last:
-            self._images, self._other_images = self._other_images, self._images
-        self._images += [_Image() for _ in range(count - len(self._images))]
-        return self._images[:count]
+        super().__init__(most_samples, _Image)
+        self.halves = _HalfWorkspace(), _HalfWorkspace()
 
     def drop_large(self) -> None:
         """Drop arrays of more than MAX_KEPT_SAMPLES; samples that were drawn stay valid."""
-        for one in (*self._images, *self._other_images, *self.halves):
-            one.drop_large()
+        super().drop_large()
+        for half in self.halves:
+            half.drop_large()
 
 
 class CpuRenderer:
@@ -263,7 +244,7 @@ class CpuRenderer:
             patches.append(found._replace(window=view.whole) if full else found)
         windows = [one.window for one in patches]
         width, height = sum(w.columns for w in windows), max(w.rows for w in windows)
-        check_samples(width, height, workspace.most_samples)
+        workspace.check_samples(width, height)
         samples, *of_lobes = [image.take(width, height, with_bodies) for image in images]
         plane = NO_PLANE if bodies.plane is None else bodies.plane
         closed = meshes.boxes.closed

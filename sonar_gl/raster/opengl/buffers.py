@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import moderngl
 import numpy as np
@@ -13,6 +13,7 @@ from sonar_gl.gl.context import is_software
 from sonar_gl.gl.memory import check_driver
 from sonar_gl.gl.shaders import compile_program
 from sonar_gl.raster.opengl.draw_list import DrawList
+from sonar_gl.raster.opengl.sheets import Sheet, sheet_of
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.scene.scene import Scene
 
@@ -68,6 +69,7 @@ class UploadedMeshes:
     points, normals, reflectivity : GrowingBuffer of each vertex; unused as long as no mesh has the attribute
     indices : GrowingBuffer of all faces
     n_points : how many vertices there are
+    sheets : by the number of each body that is a rectangle
     """
 
     meshes: SceneMeshes
@@ -76,13 +78,16 @@ class UploadedMeshes:
     reflectivity: GrowingBuffer
     indices: GrowingBuffer
     n_points: int = 0
+    sheets: dict[int, Sheet] = field(default_factory=dict)
 
     def with_more(self, bodies) -> UploadedMeshes:
         """Return these and more bodies; only their meshes are uploaded.
 
         This object stays as it is, also after an interrupt: what is new lies behind what its buffers use.
         """
-        meshes, n_points = copy(self.meshes), self.n_points
+        meshes, n_points, bodies = copy(self.meshes), self.n_points, list(bodies)
+        found = {number: sheet_of(body) for number, body in enumerate(bodies, len(meshes.bodies))}
+        sheets = self.sheets | {number: sheet for number, sheet in found.items() if sheet is not None}
         points, normals, reflectivity, indices = map(
             copy, (self.points, self.normals, self.reflectivity, self.indices)
         )
@@ -101,7 +106,7 @@ class UploadedMeshes:
                     buffer.append(np.tile(default, len(one.points)) if data is None else data)
             n_points += len(one.points)
         check_driver(points.context)
-        return UploadedMeshes(meshes, points, normals, reflectivity, indices, n_points)
+        return UploadedMeshes(meshes, points, normals, reflectivity, indices, n_points, sheets)
 
 
 class SceneBuffers:

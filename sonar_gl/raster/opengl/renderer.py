@@ -16,14 +16,15 @@ from sonar_gl.gl.enums import CLIP_DISTANCE0
 from sonar_gl.gl.memory import check_driver, check_room, side_limit
 from sonar_gl.raster.opengl.buffers import SceneBuffers
 from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
+from sonar_gl.raster.opengl.sheets import FURTHEST, MARGIN, draw_near
 from sonar_gl.raster.views import (
     NO_BODIES,
     NO_PLANE,
     NO_SAMPLES,
     BodiesInView,
+    RenderWorkspace,
     SectorView,
     Window,
-    check_samples,
     samples_of,
 )
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
@@ -69,13 +70,16 @@ class RenderTarget:
 
     def __init__(self, asynchronous: bool):
         self.width, self.height, self.has_bodies = 0, 0, False
-        self._asynchronous, self._copies = asynchronous, []
-        self._size, self._arrays, self._framebuffers = (0, 0), {}, {}
+        self._asynchronous = asynchronous
+        self._drop()
 
-    @property
-    def n_pixels(self) -> int:
-        """How many pixels there is room for."""
-        return self._size[0] * self._size[1]
+    def _drop(self) -> None:
+        self._size, self._arrays, self._framebuffers, self._copies = (0, 0), {}, {}, []
+
+    def drop_large(self) -> None:
+        """Drop a framebuffer of more than MAX_KEPT_PIXELS; samples that were read from it stay valid."""
+        if math.prod(self._size) > MAX_KEPT_PIXELS:
+            self._drop()
 
     def allocate(self, context: moderngl.Context, limit: int) -> None:
         """Have room for the pixels in use, and not for far more.
@@ -94,7 +98,7 @@ class RenderTarget:
         both = tuple(map(max, size, self._size))
         if both[0] * both[1] <= max(MAX_PIXELS_PER_USED * pixels, MIN_PIXELS):
             size = both
-        self._size, self._arrays, self._framebuffers, self._copies = (0, 0), {}, {}, []
+        self._drop()
         context.gc()  # releases the old renderbuffers before as much memory is taken again
         check_room(context, math.prod(size) * self._bytes_per_pixel())
         try:
@@ -173,8 +177,8 @@ class RenderTarget:
         )
 
 
-class OpenGLWorkspace:
-    """The memory that renderers draw into, one at a time: render targets, the list of draws, and chosen patches.
+class OpenGLWorkspace(RenderWorkspace):
+    """Render targets, the list of draws, and chosen patches.
 
     Parameters
     ----------
@@ -183,36 +187,20 @@ class OpenGLWorkspace:
 
     Attributes
     ----------
-    most_samples
     draw_list : DrawList
     """
 
     def __init__(self, context: moderngl.Context, most_samples: int):
-        self.most_samples = most_samples
-        self.draw_list, self._targets, self._other_targets = DrawList(), [], []
-        self._chosen = np.empty((0, 2), np.int32)
         # graphics cards copy samples while the next are drawn
-        self._asynchronous = not is_software(context.info["GL_RENDERER"])
+        asynchronous = not is_software(context.info["GL_RENDERER"])
+        super().__init__(most_samples, lambda: RenderTarget(asynchronous))
+        self.draw_list, self._chosen = DrawList(), np.empty((0, 2), np.int32)
 
     def chosen(self, most_patches: int) -> np.ndarray:
         """Return room for so many chosen patches, (n, 2) int32."""
         if len(self._chosen) < most_patches:
             self._chosen = np.empty((most_patches, 2), np.int32)
         return self._chosen
-
-    def targets(self, count: int, keep_last: bool) -> list[RenderTarget]:
-        """Return as many render targets; with `keep_last` not those of the last call."""
-        if keep_last:
-            self._targets, self._other_targets = self._other_targets, self._targets
-        self._targets += [RenderTarget(self._asynchronous) for _ in range(count - len(self._targets))]
-        return self._targets[:count]
-
-    def drop_large(self) -> None:
-        """Drop render targets of more than MAX_KEPT_PIXELS; samples that were read from them stay valid."""
-        for targets in (self._targets, self._other_targets):
-            for number, target in enumerate(targets):
-                if target.n_pixels > MAX_KEPT_PIXELS:
-                    targets[number] = RenderTarget(self._asynchronous)
 
 
 class OpenGLRenderer:
@@ -247,6 +235,9 @@ class OpenGLRenderer:
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
         self._uniforms, self._workspace = {}, workspace
+        # the far plane lies across the middle of a sector, and so is further away in its corners
+        furthest = max((view.furthest for view in self._sectors), default=1.0)
+        self._reach_m = MARGIN * self._far_m * min(furthest, FURTHEST)
 
     def render(
         self,
@@ -260,8 +251,11 @@ class OpenGLRenderer:
         """Draw all sectors as seen from some poses, and read them back; see `raster.engine.Renderer.render`."""
         planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._workspace.draw_list
         bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
+        for number, sheet in self._buffers.uploaded.sheets.items():
+            for one in bodies:
+                draw_near(sheet, one.matrices[number], self._reach_m, one.rows[number])
         rows = bodies[0].rows if len(bodies) == 1 else np.concatenate([one.rows for one in bodies])
-        targets = self._workspace.targets(len(bodies), keep_last)
+        targets = self._workspace.images(len(bodies), keep_last)
         out.clear()
         draws = [self._lay_out(number, one, full) for number, one in enumerate(bodies)]
         for target, sectors in zip(targets, draws, strict=True):
@@ -270,7 +264,7 @@ class OpenGLRenderer:
             target.has_bodies = with_bodies
         width, height = (max(getattr(one, side) for one in targets) for side in ("width", "height"))
         self._check_size(width, height)
-        check_samples(width, height, self._workspace.most_samples)
+        self._workspace.check_samples(width, height)
         if out.used:
             self._buffers.upload(rows, out)
         for target, sectors, one in zip(targets, draws, bodies, strict=True):

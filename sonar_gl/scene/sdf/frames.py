@@ -12,7 +12,7 @@ from sonar_gl.core.errors import Error, nearest_names
 from sonar_gl.core.poses import pose, rotation_rows
 
 USUAL_ANGLE_RAD = 2.5 * np.pi  # more is nearly always degrees; a little over a turn occurs
-OF_ORIGIN = "of_origin"  # attribute of a `<pose>` that stands for an `<origin>` of URDF
+OF_ORIGIN = "of_origin"  # attribute of a `<pose>` that stands for an `<origin>` of URDF: the location of that
 
 
 def read_numbers(element, location: str, count: int, positive: bool = False) -> np.ndarray:
@@ -60,7 +60,7 @@ def read_pose(element, location: str, large_angles: dict | None = None) -> np.nd
     if element.get("degrees", "false").strip() in ("true", "1"):
         return pose(*values[:3], *np.radians(np.fmod(values[3:], 360.0)))
     if np.abs(values[3:]).max() > USUAL_ANGLE_RAD and large_angles is not None:
-        large_angles[location] = OF_ORIGIN in element.attrib
+        large_angles[element.get(OF_ORIGIN, location)] = OF_ORIGIN in element.attrib
     return pose(*values[:3], *np.fmod(values[3:], 2 * np.pi))
 
 

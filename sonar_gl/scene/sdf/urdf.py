@@ -114,7 +114,7 @@ def _add_pose(converted, element, location: str, **attributes: str) -> None:
         if origin.get("rpy"):
             raise Error(f"{location}/origin: must have rpy or quat_xyzw (got both)")
         rotation, attributes["rotation_format"] = origin["quat_xyzw"], "quat_xyzw"
-    _add(converted, "pose", f"{xyz} {rotation}", **attributes, **{OF_ORIGIN: "true"})
+    _add(converted, "pose", f"{xyz} {rotation}", **attributes, **{OF_ORIGIN: f"{location}/origin"})
 
 
 def _add_shape(link, shape, location: str) -> None:

@@ -1,4 +1,4 @@
-"""Listeners of a live session: each has a thread of its own, and misses what comes while it is busy."""
+"""Listeners: each has a thread of its own, and misses what comes while it is busy."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ class Listener:
     Parameters
     ----------
     call : function of one item
-    on_close : function of this listener, called once it is closed
+    name : of the thread
     waiting : how many items may wait
+    on_close : function of this listener, called once it is closed
 
     Attributes
     ----------
@@ -30,11 +31,11 @@ class Listener:
     failure : exception that ended the listening, or None
     """
 
-    def __init__(self, call: Callable, on_close: Callable = lambda listener: None, waiting: int = 1):
+    def __init__(self, call: Callable, name: str, waiting: int, on_close: Callable = lambda listener: None):
         self.missed, self.failure = 0, None
         self._call, self._on_close = call, on_close
         self._items, self._changed, self._is_closed = deque(maxlen=waiting), Condition(), False
-        self._thread = Thread(target=self._serve, name="sonar_gl listener", daemon=True)
+        self._thread = Thread(target=self._serve, name=name, daemon=True)
         self._thread.start()
 
     @property
@@ -43,16 +44,23 @@ class Listener:
         return self._is_closed
 
     def tell(self, item) -> None:
-        """Hand over an item; never waits."""
+        """Hand over an item; never waits. After `close` nothing happens."""
         with self._changed:
+            if self._is_closed:
+                return
             self.missed += len(self._items) == self._items.maxlen
             self._items.append(item)
             self._changed.notify()
 
-    def close(self, timeout_s: float | None = 10.0) -> None:
-        """Take no more items, and wait until those that were taken are done; a second call does nothing."""
+    def close(self, timeout_s: float | None = 10.0, drops: bool = False) -> None:
+        """Take no more items, and wait until those that were taken are done; a second call does nothing.
+
+        drops : whether the items that wait are dropped
+        """
         with self._changed:
             self._is_closed = True
+            if drops:
+                self._items.clear()
             self._changed.notify()
         if current_thread() is not self._thread:
             self._thread.join(timeout_s)
@@ -67,8 +75,7 @@ class Listener:
         try:
             while True:
                 with self._changed:
-                    while not self._items and not self._is_closed:
-                        self._changed.wait()
+                    self._changed.wait_for(lambda: self._items or self._is_closed)
                     if not self._items:
                         return
                     item = self._items.popleft()
