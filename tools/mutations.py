@@ -637,8 +637,26 @@ MUTATIONS = (
         "normal = self.normal @ pose[:3, :3]",
         MULTIPATH,
     ),
-    Mutation("multipath/estimate", "max(estimate, error_of(", "min(estimate, error_of(", MULTIPATH),
-    Mutation("multipath/small bodies", "fewest >= LEAST_ON_BODY * times_fewer", "True", ("test_multipath",)),
+    Mutation(
+        "multipath/estimate",
+        "max(estimate, self.image_sources.error_of(",
+        "min(estimate, self.image_sources.error_of(",
+        MULTIPATH,
+    ),
+    Mutation(
+        "multipath/error of bins",
+        "return max(of_bins, _error_by_samples(",
+        "return (_error_by_samples(",
+        MULTIPATH,
+    ),
+    Mutation(
+        "multipath/no comparison",
+        "if coarser is not None:\n                self.choice",
+        "if False:\n                self.choice",
+        MULTIPATH,
+    ),
+    Mutation("multipath/never checked again", "is_new=False, is_due=check)", "is_new=False)", MULTIPATH),
+    Mutation("multipath/small bodies", "fewest < LEAST_ON_BODY * fewer or ", "", MULTIPATH),
     Mutation(
         "multipath/parallel planes",
         "(np.abs(offsets - offset) < tolerance_m)",

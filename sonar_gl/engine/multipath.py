@@ -34,7 +34,7 @@ SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's star
 # nothing. As many samples as of the direct echo leave about so many tolerances.
 FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
 HALVING_RATE = 0.85  # of the error: twice as much after each 1 / 0.85 halvings, about
-# Of the error that a comparison shows: the estimate of the direct echo's error, to which it is added, has room for both.
+# Of the error that a comparison shows: the estimate of the direct echo's error has room, and the two are added.
 BESIDE_DIRECT = 0.7
 FINEST_HALVINGS = -2  # four times as many samples as of the direct echo
 MIN_SHARE = 0.015  # bodies whose multipath may be more of the direct echo count by themselves
@@ -125,7 +125,7 @@ class ImageSourceSamples:
 
     @property
     def rows(self) -> float:
-        """How many rows of the fan are summed; of samples finer in both directions, how many had they finer rows alone."""
+        """How many rows of the fan are summed, as if samples were halved or doubled in their height alone."""
         return self.own.sampling.rows * THINNINGS[self.halvings].rows / 2**self.halvings
 
 
@@ -231,11 +231,16 @@ class HalvingChoice(NamedTuple):
     halvings : how often rows are halved
     is_fixed : whether that stays
     error : MultipathError of a ping with about such samples; None where none was compared
+    is_new : it follows no ping before: that from which it is chosen is drawn until it keeps the tolerance. Others leave
+        what a comparison shows to the next ping, so that none takes much longer than those before
+    is_due : the next ping is to be compared with one of the coarsest samples
     """
 
     halvings: int
     is_fixed: bool = False
     error: MultipathError | None = None
+    is_new: bool = False
+    is_due: bool = False
 
 
 class ImageSources:
@@ -295,11 +300,20 @@ class ImageSources:
     @property
     def first_choice(self) -> HalvingChoice:
         """The coarsest samples, as if no ping had been made before, unless they are fixed."""
-        return self.choice if self.choice.is_fixed else HalvingChoice(self.COARSEST)
+        return self.choice if self.choice.is_fixed else HalvingChoice(self.COARSEST, is_new=True)
 
     def reset(self) -> None:
         """Begin with `first_choice`."""
         self.choice = self.first_choice
+
+    def go_on(self, check: bool) -> None:
+        """Begin with the samples of the last ping, or with the coarsest, where others are to be compared with them.
+
+        check : the error of the direct echo is estimated, which takes time; that of multipath is so in the next ping
+        """
+        if not self.choice.is_fixed:
+            halvings = self.COARSEST if self.choice.is_due else self.halvings
+            self.choice = self.choice._replace(halvings=halvings, is_new=False, is_due=check)
 
     def fix(self, halvings: int, error: MultipathError | None = None) -> None:
         """Halve rows so often from now on; `error` as of `HalvingChoice`."""
@@ -324,8 +338,10 @@ class ImageSources:
                 self.choice = self.choice._replace(error=echo.error_against(coarser))
             # coarser only where they would stay so: otherwise they flicker
             wanted, kept = (self._halvings_for(echo, times) for times in (1, 2))
+            if coarser is not None:  # estimates from few samples are rough
+                wanted = max(wanted, echo.images.halvings - 1)
             self.choice = self.choice._replace(halvings=min(max(self.halvings, kept), wanted))
-        return echo.images.halvings > self.halvings
+        return echo.images.halvings > self.halvings and (coarser is None or self.choice.is_new)
 
     def error_of(self, echo: MultipathEcho) -> float:
         """Return the estimated error of the multipath in a ping, as a share of the whole echo, with the direct echo's.

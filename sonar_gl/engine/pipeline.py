@@ -52,7 +52,7 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
         chosen = choose_samples(run.sampler.choose, setup)
         run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.number + 1)
         try:
-            received = receive_chosen(run.image_sources_for(anew=True), setup, chosen)
+            received = receive_chosen(run.image_sources_for(is_apart=True), setup, chosen)
             resolution = run.review(received)
         except SampleLimitError as error:  # of its image sources
             if setup.request.alone:
@@ -70,7 +70,7 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
             received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
         else:
             try:
-                sources = run.image_sources_for(resolution.finer_images, anew=resolution.check)
+                sources = run.image_sources_for(resolution.finer_images, resolution.check)
                 (drawn,) = draw(sources, [setup], resolution)
             except SampleLimitError as error:
                 resolution = run.sampler.coarser(error)

@@ -181,20 +181,24 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
-    def image_sources_for(self, finer: bool = False, anew: bool = False) -> ImageSources | None:
+    def image_sources_for(
+        self, finer: bool = False, check: bool = False, is_apart: bool = False
+    ) -> ImageSources | None:
         """Return the image sources, ready to draw those of some pings; None without multipath.
 
         Parameters
         ----------
         finer : they are drawn once more, with the samples that were chosen for them
-        anew : the samples of this ping are chosen from it alone, or checked, and those of image sources are to be, too
+        check : the error of this ping is to be estimated, and that of its multipath, too
+        is_apart : the samples were chosen from this ping alone, and those of image sources are to be, too
         """
         if self.image_sources is not None:
             self.image_sources.use_scene(self.world.scene)
             # finer samples are compared with coarser ones of the same ping, before others have them
-            is_new = self._is_independent(anew) or self.image_sources.choice.error is None
-            if is_new and not finer:
+            if not finer and (self._is_independent(is_apart) or self.image_sources.choice.error is None):
                 self.image_sources.reset()
+            elif not finer:
+                self.image_sources.go_on(check)
         return self.image_sources
 
     def take_workers(self, count: int, make: Callable) -> list:

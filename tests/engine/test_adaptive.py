@@ -377,7 +377,7 @@ class TestMoving:
                 halvings = simulator.run.image_sources.halvings
                 pings.append((halvings, simulator.ping(far), simulator.run.image_sources.halvings))
         (first, one, n_one), (second, other, n_other) = pings
-        assert first == 5 > n_one == n_other > second == 0
+        assert first == ImageSources.COARSEST > n_one == n_other > second
         np.testing.assert_array_equal(one.intensity, other.intensity)
         assert one.error_estimate == other.error_estimate
 
