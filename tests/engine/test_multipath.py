@@ -754,6 +754,18 @@ def test_as_the_sonar_moves_the_estimate_covers_multipath():
             assert np.abs(ping.intensity - truth).sum() / truth.sum() < ping.error_estimate
 
 
+def test_multipath_is_compared_again_after_each_check():
+    """Not in the same ping: each comparison costs nearly a ping."""
+    scene = wall_below_a_calm_surface(0.3)
+    with sg.Simulator(scene, SONAR, MULTIPATH, tolerance=0.05) as simulator:
+        errors = []
+        for k in range(CHECK_EVERY + 3):
+            simulator.ping(sg.pose(1e-3 * k, 0, -1.0))
+            errors.append(simulator.run.image_sources.choice.error)
+    assert len(set(errors[: CHECK_EVERY + 1])) == 1 and errors[0].error > 0
+    assert errors[CHECK_EVERY + 1] == errors[CHECK_EVERY + 2] != errors[0]
+
+
 def test_multipath_does_not_come_and_go_as_the_sonar_moves():
     """Seven pings had none, then the ratio rose to a half."""
     sonar = sg.Sonar("test", 900e3, 24, 150, 80.0, 40.0, 4.0, 1.0, 16.0, bandwidth_hz=8e3)
