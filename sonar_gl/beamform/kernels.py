@@ -27,7 +27,6 @@ from sonar_gl.sonar.fan import FAR_FACTOR
 from sonar_gl.sonar.samples import ViewSamples
 
 SAME = 1e-5  # of a plane's 1/x and slope: well above float32's noise, well below what matters
-ALIKE = 0.5  # of the echo of the brighter one of two faces: what it gains of the other matters little
 
 
 class Lattice(NamedTuple):
@@ -108,18 +107,18 @@ class Strip(NamedTuple):
 # is curved; v of the ray. By `_gather_samples` or `gather_pieces`: 1/x on the ray, 0 where it met nothing; the plane
 # that it met: 1/x on that line at v = 0, its slope along the line, with v, and its slope along u; the echo per
 # steradian. By `_find_borders`: v where the sample's footprint begins. By `find_faces`: the rows in which another face
-# begins. By `gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at the
-# upper end than in the middle, as a share of it. By `_divide_faces`, until there are footprints: the row in which a
-# piece begins, and a place for the echo at its lower end. By `_find_repeated`, likewise: whether a sample met the plane
-# of the one below. By `_find_footprints`: energy; centre and the two half-widths of the footprint in s = 1/r; by how
-# much its density at the nearer end is more than that of an even footprint, as a share of it, and less at the further
-# end. By `_find_intervals`: both ends, half the height, and the bins of both ends. For labels: elevation and incidence
-# in the middle, radians, and how they change with s. For image sources: see X to BISTATIC.
+# begins. By `gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at
+# the upper end than in the middle, as a share of it. By `_divide_faces`, until there are footprints: the row in which
+# a piece begins, and a place for the echo at its lower end. By `_find_footprints`: energy; centre and the two
+# half-widths of the footprint in s = 1/r; by how much its density at the nearer end is more than that of an even
+# footprint, as a share of it, and less at the further end. By `_find_intervals`: both ends, half the height, and the
+# bins of both ends. For labels: elevation and incidence in the middle, radians, and how they change with s. For image
+# sources: see X to BISTATIC.
 SAMPLE, ROW, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(11)
 START, V_LOWEST, V_HIGHEST, ECHO_RISE = range(11, 15)
 ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN = range(15, 25)
 ELEVATION, INCIDENCE, ELEVATION_RISE, INCIDENCE_RISE = range(25, 29)
-PIECE, ECHO_BELOW, REPEATED = ENERGY, S, A
+PIECE, ECHO_BELOW = ENERGY, S
 LABEL_ROWS = INCIDENCE_RISE + 1
 # Samples of float64 that a processor does at a time. Loops over a strip do whole groups, so that none is left to be
 # done by itself: what they find of a few more samples is not read.
@@ -258,7 +257,6 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
             first, last = _gather_samples(work, plane_echo, lattice, bottom_row, n)
         if first <= last:
             limits = q_unseen, v_low, v_high
-            _find_repeated(work, max(first - 1, 1), min(last + 3, n), n)
             _find_borders(work, max(first, 1), min(last + 2, n), are_joined, limits)
             work[BORDER, 0], work[BORDER, n] = v_low, v_high
     last = max(last + 1, first)
@@ -569,23 +567,6 @@ def _gather_samples(work, plane_echo, lattice, bottom_row, n):
 
 
 @uncounted
-def _find_repeated(work, first, last, n):
-    """Find which of a strip's n samples met the plane of the one below, from `first` to before `last`.
-
-    Those at both ends may have met more of a plane than is drawn.
-    """
-    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
-    q, along, along_u, tilt, repeated = work[Q], work[ALONG], work[ALONG_U], work[TILT], work[REPEATED]
-    for m in range(uint64(first), uint64(_whole(first, last))):
-        below = uint64(m - 1)
-        slope, slope_below = along[m] - along_u[m] * tilt[m], along[below] - along_u[below] * tilt[below]
-        is_met = (q[m] > 0.0) & (q[below] > 0.0)
-        is_same = abs(slope - slope_below) <= SAME * (max(q[m], q[below]) + abs(slope))
-        repeated[m] = 1.0 if is_met & is_same else 0.0
-    repeated[0] = repeated[n] = 1.0
-
-
-@uncounted
 def _find_borders(work, first, last, are_joined, limits):
     """Find v where each of a strip's footprints begins, from `first` to before `last`.
 
@@ -595,28 +576,19 @@ def _find_borders(work, first, last, are_joined, limits):
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     q, rest, along, border, (q_unseen, v_low, v_high) = work[Q], work[REST], work[ALONG], work[BORDER], limits
     v_ray, v_lowest, v_highest = work[V_RAY], work[V_LOWEST], work[V_HIGHEST]
-    echo, repeated = work[ECHO], work[REPEATED]
     for m in range(uint64(first), uint64(_whole(first, last))):
-        below, above = uint64(m - 1), uint64(m + 1)
+        below = uint64(m - 1)
         low = v_highest[below] if are_joined else v_ray[below]
         high = v_lowest[m] if are_joined else v_ray[m]
         met_low, met_high = q[below] > 0.0, q[m] > 0.0
         border_here = (low + high) / 2
-        # Two planes that meet between their rays make an edge there, otherwise the border is half way; nearer than SAME
-        # they are one plane, and where they meet is noise. A plane of a single row may be that of a face narrower than
-        # rows are apart, which most rows miss; its neighbour then has its place. Where a row meets it, an edge would
-        # not make up for that: a brighter neighbour would get too much.
+        # two planes that meet between their rays make an edge there, otherwise the border is half way;
+        # nearer than SAME they are one plane, and where they meet is noise
         turn = along[below] - along[m]
         meet = (rest[m] - rest[below]) / turn
         noise = SAME * (max(q[below], q[m]) + abs(along[below]))  # of a plane and of its slope
         is_clear = abs((meet - border_here) * turn) > noise
-        is_wide_low, is_wide = repeated[below] > 0.0, repeated[above] > 0.0
-        if are_joined:
-            is_wide_low |= v_highest[below] > v_lowest[below]
-            is_wide |= v_highest[m] > v_lowest[m]
-        is_alike = min(echo[below], echo[m]) > ALIKE * max(echo[below], echo[m])
         is_edge = met_low & met_high & (low < meet) & (meet < high) & is_clear
-        is_edge &= is_alike | (is_wide_low & is_wide)
         # a plane that is beyond the range where the other ray looks extends to there or to its horizon
         slope = along[below] if met_low else along[m]
         plane = rest[below] if met_low else rest[m]
