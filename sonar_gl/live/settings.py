@@ -141,7 +141,7 @@ class LiveSettings:
 
     def is_on(self, term: str) -> bool:
         """Return whether a term of acoustics or noise is on, by its name in `analysis.terms.TERMS`."""
-        return not _term(term).on(self.acoustics, self.noise)
+        return _term(term).is_on(self.acoustics, self.noise)
 
     def switched(self, term: str, on: bool) -> LiveSettings:
         """Return these settings with a term of acoustics or noise on or off.
@@ -149,9 +149,10 @@ class LiveSettings:
         >>> LiveSettings("p900-45").switched("multipath", True).acoustics.multipath
         'incoherent'
         """
+        if on and self.is_on(term):
+            return self
         found = _term(term)
-        values = found.on(self.acoustics, self.noise) if on else found.off
-        acoustics, noise = found.changed(self.acoustics, self.noise, values)
+        acoustics, noise = found.changed(self.acoustics, self.noise, found.on if on else found.off)
         return replace(self, acoustics=acoustics, noise=noise)
 
 

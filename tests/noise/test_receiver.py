@@ -210,13 +210,13 @@ def test_interference():
 
 
 def test_interference_comes_evenly_from_the_fan_and_over_the_range():
-    """A pulse that began before the first bin, or goes on after the last one, is heard in part."""
+    """A pulse that began before the first bin, or goes on after the last one, is received in part."""
     ping, noise = even_ping(64, 40, 0.5, level=0.0), Noise(interference_lines=50.0, interference_db=0.0)
     x = sum(add_noise(ping, noise, 0, number).intensity.astype(np.float64) for number in range(200))
     by_bin, by_beam = x.sum(axis=0) / x.sum(axis=0).mean(), x.sum(axis=1) / x.sum(axis=1).mean()
     # 10 000 pulses of 6 bins that begin in one of 45: each bin has 1330 of them
     np.testing.assert_allclose(by_bin, 1, atol=SIGMAS / np.sqrt(1330))
-    # a beam hears those of 1 degree of 32, about 310; both ends are heard from one side alone
+    # a beam receives those of 1 degree of 32, about 310; both ends receive from one side alone
     np.testing.assert_allclose(by_beam[4:-4], by_beam[4:-4].mean(), atol=SIGMAS / np.sqrt(310))
 
 
