@@ -209,8 +209,8 @@ MUTATIONS = (
     ),
     Mutation(
         "footprints/edges of noise",
-        "abs((meet - border_here) * turn) > noise",
-        "abs((meet - border_here) * turn) < noise",
+        "(abs((meet - (low + high) / 2) * turn) > noise)",
+        "(abs((meet - (low + high) / 2) * turn) < noise)",
         STRIPS,
     ),
     Mutation(
@@ -289,9 +289,12 @@ MUTATIONS = (
         "((low, high),)",
         ("test_fan", "test_closed_forms"),
     ),
+    Mutation("footprints/edges between planes", "is_edge = are_met & (low", "is_edge = False & (low", STRIPS),
+    Mutation("footprints/narrow faces", "& ~(is_narrow | is_narrow_low)", "", STRIPS),
     Mutation(
-        "footprints/edges between planes", "is_edge = met_low & met_high", "is_edge = met_low & False", STRIPS
+        "footprints/faces of half a row", "(2.0 * (meet - edge[below])", "(4.0 * (meet - edge[below])", STRIPS
     ),
+    Mutation("footprints/hidden faces", "(edge[above] == NO_EDGE) | ", "", STRIPS),
     Mutation("footprints/horizons", "is_lost = (met_low != met_high)", "is_lost = met_low & False", STRIPS),
     Mutation("footprints/noise of planes", "SAME = 1e-5", "SAME = 1e-2", STRIPS),
     Mutation("footprints/planes apart", "SAME = 1e-5", "SAME = 1e-8", STRIPS),
@@ -328,8 +331,8 @@ MUTATIONS = (
     ),
     Mutation(
         "sums/columns received by side lobes alone",
-        "out[columns[self.weights > 0] % n_columns]",
-        "out[columns[self.weights > 2.0] % n_columns]",
+        "out[columns[self.weights[beams] > 0] % len(out)]",
+        "out[columns[self.weights[beams] > 2.0] % len(out)]",
         ("test_beam_pattern",),
     ),
     Mutation("sums/share of two columns", "share = (points[n, 0] - middle) / apart", "share = 0.0", BUBBLES),

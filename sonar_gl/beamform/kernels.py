@@ -27,6 +27,8 @@ from sonar_gl.sonar.fan import FAR_FACTOR
 from sonar_gl.sonar.samples import ViewSamples
 
 SAME = 1e-5  # of a plane's 1/x and slope: well above float32's noise, well below what matters
+NO_EDGE = 1e30  # beyond all v
+ALIKE = 0.3  # of slopes: one face, or two of a smooth one
 
 
 class Lattice(NamedTuple):
@@ -107,18 +109,19 @@ class Strip(NamedTuple):
 # is curved; v of the ray. By `_gather_samples` or `gather_pieces`: 1/x on the ray, 0 where it met nothing; the plane
 # that it met: 1/x on that line at v = 0, its slope along the line, with v, and its slope along u; the echo per
 # steradian. By `_find_borders`: v where the sample's footprint begins. By `find_faces`: the rows in which another face
-# begins. By `gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at
-# the upper end than in the middle, as a share of it. By `_divide_faces`, until there are footprints: the row in which
-# a piece begins, and a place for the echo at its lower end. By `_find_footprints`: energy; centre and the two
-# half-widths of the footprint in s = 1/r; by how much its density at the nearer end is more than that of an even
-# footprint, as a share of it, and less at the further end. By `_find_intervals`: both ends, half the height, and the
-# bins of both ends. For labels: elevation and incidence in the middle, radians, and how they change with s. For image
-# sources: see X to BISTATIC.
+# begins. By `gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at the
+# upper end than in the middle, as a share of it. By `_divide_faces`, until there are footprints: the row in which a
+# piece begins, and a place for the echo at its lower end. By `_find_edges`, likewise: v of the edge between a sample
+# and the one below, and whether it met its plane. By `_find_footprints`: energy; centre and the two half-widths of the
+# footprint in s = 1/r; by how much its density at the nearer end is more than that of an even footprint, as a share of
+# it, and less at the further end. By `_find_intervals`: both ends, half the height, and the bins of both ends. For
+# labels: elevation and incidence in the middle, radians, and how they change with s. For image sources: see X to
+# BISTATIC.
 SAMPLE, ROW, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(11)
 START, V_LOWEST, V_HIGHEST, ECHO_RISE = range(11, 15)
 ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN = range(15, 25)
 ELEVATION, INCIDENCE, ELEVATION_RISE, INCIDENCE_RISE = range(25, 29)
-PIECE, ECHO_BELOW = ENERGY, S
+PIECE, ECHO_BELOW, EDGE, REPEATED = ENERGY, S, A, B
 LABEL_ROWS = INCIDENCE_RISE + 1
 # Samples of float64 that a processor does at a time. Loops over a strip do whole groups, so that none is left to be
 # done by itself: what they find of a few more samples is not read.
@@ -257,6 +260,7 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
             first, last = _gather_samples(work, plane_echo, lattice, bottom_row, n)
         if first <= last:
             limits = q_unseen, v_low, v_high
+            _find_edges(work, max(first - 1, 1), min(last + 3, n), n, are_joined)
             _find_borders(work, max(first, 1), min(last + 2, n), are_joined, limits)
             work[BORDER, 0], work[BORDER, n] = v_low, v_high
     last = max(last + 1, first)
@@ -567,33 +571,72 @@ def _gather_samples(work, plane_echo, lattice, bottom_row, n):
 
 
 @uncounted
+def _find_edges(work, first, last, n, are_joined):
+    """Find v where the planes of two of a strip's n samples make an edge, from `first` to before `last`; else NO_EDGE.
+
+    They do where they meet between their rays. Nearer than SAME they are one plane, and where they meet is noise. Find
+    also which samples met about the plane of the one below.
+
+    are_joined : samples have a lowest and a highest ray, else the same one
+    """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
+    q, rest, along, edge, v_ray = work[Q], work[REST], work[ALONG], work[EDGE], work[V_RAY]
+    along_u, tilt, repeated = work[ALONG_U], work[TILT], work[REPEATED]
+    v_lowest, v_highest = work[V_LOWEST], work[V_HIGHEST]
+    for m in range(uint64(first), uint64(_whole(first, last))):
+        below = uint64(m - 1)
+        low = v_highest[below] if are_joined else v_ray[below]
+        high = v_lowest[m] if are_joined else v_ray[m]
+        turn = along[below] - along[m]
+        meet = (rest[m] - rest[below]) / turn
+        noise = SAME * (max(q[below], q[m]) + abs(along[below]))  # of a plane and of its slope
+        are_met = (q[below] > 0.0) & (q[m] > 0.0)
+        is_edge = are_met & (low < meet) & (meet < high) & (abs((meet - (low + high) / 2) * turn) > noise)
+        edge[m] = meet if is_edge else NO_EDGE
+        # TILT differs from row to row
+        slope, slope_below = along[m] - along_u[m] * tilt[m], along[below] - along_u[below] * tilt[below]
+        is_alike = abs(slope - slope_below) <= ALIKE * (max(q[m], q[below]) + abs(slope))
+        repeated[m] = 1.0 if are_met & is_alike else 0.0
+    edge[0] = edge[n] = NO_EDGE
+    repeated[0] = repeated[n] = 1.0  # those at both ends may have met more of a plane than is drawn
+
+
+@uncounted
 def _find_borders(work, first, last, are_joined, limits):
     """Find v where each of a strip's footprints begins, from `first` to before `last`.
 
-    are_joined : samples have a lowest and a highest ray, else the same one
+    are_joined : as of `_find_edges`
     limits : `q_unseen` of BinTable, v of the strip's ends
     """
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     q, rest, along, border, (q_unseen, v_low, v_high) = work[Q], work[REST], work[ALONG], work[BORDER], limits
     v_ray, v_lowest, v_highest = work[V_RAY], work[V_LOWEST], work[V_HIGHEST]
+    edge, repeated = work[EDGE], work[REPEATED]
     for m in range(uint64(first), uint64(_whole(first, last))):
-        below = uint64(m - 1)
+        below, above, lower = uint64(m - 1), uint64(m + 1), uint64(max(m, 2) - 2)
         low = v_highest[below] if are_joined else v_ray[below]
         high = v_lowest[m] if are_joined else v_ray[m]
-        met_low, met_high = q[below] > 0.0, q[m] > 0.0
-        border_here = (low + high) / 2
-        # two planes that meet between their rays make an edge there, otherwise the border is half way;
-        # nearer than SAME they are one plane, and where they meet is noise
-        turn = along[below] - along[m]
-        meet = (rest[m] - rest[below]) / turn
-        noise = SAME * (max(q[below], q[m]) + abs(along[below]))  # of a plane and of its slope
-        is_clear = abs((meet - border_here) * turn) > noise
-        is_edge = met_low & met_high & (low < meet) & (meet < high) & is_clear
+        met_low, met_high, meet = q[below] > 0.0, q[m] > 0.0, edge[m]
+        # A border is at the edge, if there is one, otherwise half way. A face narrower than rows are apart is met by
+        # chance, and where it is not, its neighbours have its place: where it is, it has that of a whole row. So has a
+        # face of a single row that another one hides, since its height is not known.
+        lowest, highest = v_ray[lower], v_ray[above]
+        is_one_low, is_one = (
+            (repeated[below] == 0.0) & (repeated[m] == 0.0),
+            (repeated[m] == 0.0) & (repeated[above] == 0.0),
+        )
+        if are_joined:
+            lowest, highest = v_highest[lower], v_lowest[above]
+            is_one_low &= v_highest[below] == v_lowest[below]
+            is_one &= v_highest[m] == v_lowest[m]
+        is_narrow = is_one & ((edge[above] == NO_EDGE) | (2.0 * (edge[above] - meet) < highest - low))
+        is_narrow_low = is_one_low & ((edge[below] == NO_EDGE) | (2.0 * (meet - edge[below]) < high - lowest))
+        is_edge = (meet < NO_EDGE) & ~(is_narrow | is_narrow_low)
         # a plane that is beyond the range where the other ray looks extends to there or to its horizon
         slope = along[below] if met_low else along[m]
         plane = rest[below] if met_low else rest[m]
         is_lost = (met_low != met_high) & (plane + slope * (high if met_low else low) < q_unseen)
-        border_here = meet if is_edge else border_here
+        border_here = meet if is_edge else (low + high) / 2
         border_here = min(max(-plane / slope, low), high) if is_lost else border_here
         border[m] = min(max(border_here, v_low), v_high)
 
