@@ -51,6 +51,13 @@ def ping_alone(simulator, pose, labels: bool = False) -> sg.Ping:
     return make_ping(simulator.run, PingRequest(pose, labels=labels, alone=True))
 
 
+def ping_with_all_samples(simulator, pose) -> sg.Ping:
+    """Return a ping whose image sources have as many samples as its direct echo, however weak they are."""
+    if simulator.run.image_sources is not None:
+        simulator.run.image_sources.fix(0)
+    return simulator.ping(pose)
+
+
 def pings_of(simulator, requests: Iterator[PingRequest]) -> Iterator[sg.Ping]:
     """Yield the pings of requests, as batches make them."""
     return make_pings(simulator.run, requests)

@@ -290,11 +290,10 @@ MUTATIONS = (
         ("test_fan", "test_closed_forms"),
     ),
     Mutation("footprints/edges between planes", "is_edge = are_met & (low", "is_edge = False & (low", STRIPS),
-    Mutation("footprints/narrow faces", "& ~(is_narrow | is_narrow_low)", "", STRIPS),
-    Mutation(
-        "footprints/faces of half a row", "(2.0 * (meet - edge[below])", "(4.0 * (meet - edge[below])", STRIPS
-    ),
-    Mutation("footprints/hidden faces", "(edge[above] == NO_EDGE) | ", "", STRIPS),
+    Mutation("footprints/narrow faces", " & (narrow[below] + narrow[m] == 0.0)", "", STRIPS),
+    Mutation("footprints/faces of half a row", "is_low = 2.0 * height", "is_low = 4.0 * height", STRIPS),
+    Mutation("footprints/hidden faces", "is_single & (is_unknown | is_low)", "is_single & is_low", STRIPS),
+    Mutation("footprints/faces of several rows", "if is_single & (is_unknown", "if (is_unknown", STRIPS),
     Mutation("footprints/horizons", "is_lost = (met_low != met_high)", "is_lost = met_low & False", STRIPS),
     Mutation("footprints/noise of planes", "SAME = 1e-5", "SAME = 1e-2", STRIPS),
     Mutation("footprints/planes apart", "SAME = 1e-5", "SAME = 1e-8", STRIPS),

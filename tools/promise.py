@@ -3,6 +3,7 @@
     python -m tools.promise                         # 100 worlds, some twenty minutes
     python -m tools.promise --worlds 20 --first 500
     python -m tools.promise --worlds 20 --alone     # samples chosen from each ping alone, as in batches
+    python -m tools.promise --pools 20              # of the sum of direct and multipath echoes
 
 A world (`tests/support/worlds.py`) is a scene, a sonar and a pose by a seed: boxes, cylinders, thin rods,
 spheres, tori, floors and hills. Worlds of even seed have profile `ideal`, those of odd seed `physical`. The
@@ -10,6 +11,9 @@ promise is kept if the error against `sonar_gl.reference_ping` is within the tol
 body's own echo within five times it. It is open where the error exceeds that by no more than the truth may be
 off, whose rays are limited. The cost is the time of a ping and its samples, over those of the coarsest sampling
 level that would have kept the promise, in the same run; of pings alone, over those of a planned ping.
+
+Pools have a calm surface, by which multipath returns up to a hundred times the direct echo. The reference has no
+multipath: the truth is a ping of up to nine times as many samples as the finest one that is judged.
 """
 
 from __future__ import annotations
@@ -18,20 +22,21 @@ import argparse
 import contextlib
 import sys
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.sonar.sampling import WORST_BODY, level_of, sampling_at
-from tests.support.worlds import random_world
+from tests.support.worlds import random_pool, random_world
 from tools import internals
 from tools.bench import harness
 
 TOLERANCES = (0.05, 0.02, 0.01)
 ROUNDS = 4
 TRUTH_ERROR = 0.03
+MOST_SAMPLES = 3_500_000  # of the truth of a pool
 MOST_RAYS = 60_000_000  # of a truth; more would change the verdict on the smallest bodies only
 
 
@@ -173,6 +178,59 @@ def try_world(seed: int, tolerances=TOLERANCES, truth_error: float = TRUTH_ERROR
     return out
 
 
+@dataclass(frozen=True)
+class PoolOutcome:
+    """One pool at one tolerance: shares of the whole echo, and multipath relative to the direct echo."""
+
+    seed: int
+    tolerance: float
+    multipath: float
+    error: float
+    error_estimate: float
+
+
+def try_pool(seed: int, tolerances=(0.05, 0.01)) -> list[PoolOutcome]:
+    """Return the outcomes of the first ping in one pool; none if there is no multipath."""
+    scene, sonar, pose, acoustics = random_pool(seed)
+    pings = []
+    for tolerance in tolerances:
+        with sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as simulator:
+            pings.append(simulator.ping(pose))
+    finest = max((sg.Sampling(**ping.meta["sampling"]) for ping in pings), key=lambda one: one.count(sonar))
+    finer = min(3.0, (MOST_SAMPLES / finest.count(sonar)) ** 0.5)
+    many = sg.Sampling(finer * finest.columns_per_beam, round(finer * finest.rows))
+    with sg.Simulator(scene, sonar, acoustics, many) as simulator:
+        truth = internals.ping_with_all_samples(simulator, pose)
+    with sg.Simulator(scene, sonar, replace(acoustics, multipath="none"), many) as simulator:
+        direct = float(simulator.ping(pose).intensity.sum(dtype=float))
+    multipath = float(truth.intensity.sum(dtype=float)) / max(direct, 1e-30) - 1
+    return [
+        PoolOutcome(seed, tolerance, multipath, ping_error(ping, truth), ping.error_estimate)
+        for tolerance, ping in zip(tolerances, pings if multipath > 1e-3 else (), strict=False)
+    ]
+
+
+def report_pools(outcomes: list[PoolOutcome]):
+    """Print the table of pools."""
+    rows = []
+    for tolerance in sorted({o.tolerance for o in outcomes}, reverse=True):
+        mine = [o for o in outcomes if o.tolerance == tolerance]
+        met = [o for o in mine if o.error_estimate <= tolerance]
+        rows.append(
+            {
+                "tolerance": f"{tolerance:g}",
+                "pools": len(mine),
+                "multipath/direct, median": f"{np.median([o.multipath for o in mine]):.2f}",
+                "kept": sum(o.error <= tolerance for o in mine),
+                "met": len(met),
+                "of those kept": sum(o.error <= tolerance for o in met),
+                "estimate/error, median": f"{np.median([o.error_estimate / o.error for o in mine]):.2f}",
+                "broken by": [(o.seed, round(o.error / tolerance, 2)) for o in met if o.error > tolerance],
+            }
+        )
+    harness.print_table(rows, indent=0)
+
+
 def report(outcomes):
     """Print the table."""
     rows = []
@@ -209,21 +267,24 @@ def main():
     """Try worlds from the first seed on."""
     parser = argparse.ArgumentParser(prog="python -m tools.promise", description=__doc__.partition("\n")[0])
     parser.add_argument("--worlds", type=int, default=100, help="how many with an echo")
+    parser.add_argument("--pools", type=int, help="how many with multipath, in place of worlds")
     parser.add_argument("--first", type=int, default=1000, help="the first seed")
     parser.add_argument("--alone", action="store_true", help="have each ping choose its samples alone")
     options = parser.parse_args()
-    try_one = try_alone if options.alone else try_world
+    if options.pools and options.alone:
+        parser.error("--alone is of worlds, not of --pools")
+    try_one = try_pool if options.pools else try_alone if options.alone else try_world
     outcomes, seed, first = [], options.first, options.first
     with warnings.catch_warnings(), contextlib.suppress(KeyboardInterrupt):  # Ctrl-C prints the table so far
         warnings.simplefilter("ignore", UserWarning)
-        while len({o.seed for o in outcomes}) < options.worlds:
+        while len({o.seed for o in outcomes}) < (options.pools or options.worlds):
             outcomes += try_one(seed)
             seed += 1
             if sys.stderr.isatty():
                 print(f"\r{seed - first} worlds", end="", file=sys.stderr)
     with sg.Simulator(sg.Scene([]), random_world(0)[1]) as simulator:
         print(f"seeds {first} to {seed - 1}, on {simulator.gl_info['renderer']}")
-    report(outcomes)
+    report_pools(outcomes) if options.pools else report(outcomes)
     if options.alone:
         total, of_plans = (sum(getattr(o, name) for o in outcomes) for name in ("ms", "cheapest_ms"))
         print(f"all pings alone over all planned pings: {total / of_plans:.2f} times the time")

@@ -112,16 +112,16 @@ class Strip(NamedTuple):
 # begins. By `gather_pieces`: v of the lowest and of the highest ray of a piece, and by how much its echo is more at the
 # upper end than in the middle, as a share of it. By `_divide_faces`, until there are footprints: the row in which a
 # piece begins, and a place for the echo at its lower end. By `_find_edges`, likewise: v of the edge between a sample
-# and the one below, and whether it met its plane. By `_find_footprints`: energy; centre and the two half-widths of the
-# footprint in s = 1/r; by how much its density at the nearer end is more than that of an even footprint, as a share of
-# it, and less at the further end. By `_find_intervals`: both ends, half the height, and the bins of both ends. For
-# labels: elevation and incidence in the middle, radians, and how they change with s. For image sources: see X to
-# BISTATIC.
+# and the one below, and whether it met its plane. By `_find_narrow`, likewise: whether other rows miss the face. By
+# `_find_footprints`: energy; centre and the two half-widths of the footprint in s = 1/r; by how much its density at the
+# nearer end is more than that of an even footprint, as a share of it, and less at the further end. By
+# `_find_intervals`: both ends, half the height, and the bins of both ends. For labels: elevation and incidence in the
+# middle, radians, and how they change with s. For image sources: see X to BISTATIC.
 SAMPLE, ROW, LINE_U, TILT, V_RAY, Q, REST, ALONG, ALONG_U, ECHO, BORDER = range(11)
 START, V_LOWEST, V_HIGHEST, ECHO_RISE = range(11, 15)
 ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN = range(15, 25)
 ELEVATION, INCIDENCE, ELEVATION_RISE, INCIDENCE_RISE = range(25, 29)
-PIECE, ECHO_BELOW, EDGE, REPEATED = ENERGY, S, A, B
+PIECE, ECHO_BELOW, EDGE, REPEATED, NARROW = ENERGY, S, A, B, SLANT
 LABEL_ROWS = INCIDENCE_RISE + 1
 # Samples of float64 that a processor does at a time. Loops over a strip do whole groups, so that none is left to be
 # done by itself: what they find of a few more samples is not read.
@@ -261,6 +261,7 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
         if first <= last:
             limits = q_unseen, v_low, v_high
             _find_edges(work, max(first - 1, 1), min(last + 3, n), n, are_joined)
+            _find_narrow(work, max(first - 1, 1), min(last + 2, n), are_joined)
             _find_borders(work, max(first, 1), min(last + 2, n), are_joined, limits)
             work[BORDER, 0], work[BORDER, n] = v_low, v_high
     last = max(last + 1, first)
@@ -580,13 +581,14 @@ def _find_edges(work, first, last, n, are_joined):
     are_joined : samples have a lowest and a highest ray, else the same one
     """
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
-    q, rest, along, edge, v_ray = work[Q], work[REST], work[ALONG], work[EDGE], work[V_RAY]
+    q, rest, along, edge = work[Q], work[REST], work[ALONG], work[EDGE]
     along_u, tilt, repeated = work[ALONG_U], work[TILT], work[REPEATED]
-    v_lowest, v_highest = work[V_LOWEST], work[V_HIGHEST]
+    # chosen here: inside the loop it would not be done several samples at a time
+    v_lowest = work[V_LOWEST] if are_joined else work[V_RAY]
+    v_highest = work[V_HIGHEST] if are_joined else work[V_RAY]
     for m in range(uint64(first), uint64(_whole(first, last))):
         below = uint64(m - 1)
-        low = v_highest[below] if are_joined else v_ray[below]
-        high = v_lowest[m] if are_joined else v_ray[m]
+        low, high = v_highest[below], v_lowest[m]
         turn = along[below] - along[m]
         meet = (rest[m] - rest[below]) / turn
         noise = SAME * (max(q[below], q[m]) + abs(along[below]))  # of a plane and of its slope
@@ -602,6 +604,29 @@ def _find_edges(work, first, last, n, are_joined):
 
 
 @uncounted
+def _find_narrow(work, first, last, are_joined):
+    """Find which of a strip's samples met a face that others miss by chance, from `first` to before `last`.
+
+    Such a face is met by a single row, and ends at edges nearer than rows are apart, or another one hides it in part:
+    its height is not known then.
+
+    are_joined : as of `_find_edges`
+    """
+    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
+    edge, repeated, narrow = work[EDGE], work[REPEATED], work[NARROW]
+    v_lowest = work[V_LOWEST] if are_joined else work[V_RAY]
+    v_highest = work[V_HIGHEST] if are_joined else work[V_RAY]
+    for m in range(uint64(first), uint64(_whole(first, last))):
+        below, above = uint64(m - 1), uint64(m + 1)
+        is_single = repeated[m] + repeated[above] + (v_highest[m] - v_lowest[m]) == 0.0
+        height = abs(edge[above] - edge[m])
+        is_unknown = max(edge[above], edge[m]) == NO_EDGE
+        is_low = 2.0 * height < v_lowest[above] - v_highest[below]
+        narrow[m] = 1.0 if is_single & (is_unknown | is_low) else 0.0
+    narrow[0] = 0.0
+
+
+@uncounted
 def _find_borders(work, first, last, are_joined, limits):
     """Find v where each of a strip's footprints begins, from `first` to before `last`.
 
@@ -610,28 +635,16 @@ def _find_borders(work, first, last, are_joined, limits):
     """
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     q, rest, along, border, (q_unseen, v_low, v_high) = work[Q], work[REST], work[ALONG], work[BORDER], limits
-    v_ray, v_lowest, v_highest = work[V_RAY], work[V_LOWEST], work[V_HIGHEST]
-    edge, repeated = work[EDGE], work[REPEATED]
+    edge, narrow = work[EDGE], work[NARROW]
+    v_lowest = work[V_LOWEST] if are_joined else work[V_RAY]
+    v_highest = work[V_HIGHEST] if are_joined else work[V_RAY]
     for m in range(uint64(first), uint64(_whole(first, last))):
-        below, above, lower = uint64(m - 1), uint64(m + 1), uint64(max(m, 2) - 2)
-        low = v_highest[below] if are_joined else v_ray[below]
-        high = v_lowest[m] if are_joined else v_ray[m]
+        below = uint64(m - 1)
+        low, high = v_highest[below], v_lowest[m]
         met_low, met_high, meet = q[below] > 0.0, q[m] > 0.0, edge[m]
-        # A border is at the edge, if there is one, otherwise half way. A face narrower than rows are apart is met by
-        # chance, and where it is not, its neighbours have its place: where it is, it has that of a whole row. So has a
-        # face of a single row that another one hides, since its height is not known.
-        lowest, highest = v_ray[lower], v_ray[above]
-        is_one_low, is_one = (
-            (repeated[below] == 0.0) & (repeated[m] == 0.0),
-            (repeated[m] == 0.0) & (repeated[above] == 0.0),
-        )
-        if are_joined:
-            lowest, highest = v_highest[lower], v_lowest[above]
-            is_one_low &= v_highest[below] == v_lowest[below]
-            is_one &= v_highest[m] == v_lowest[m]
-        is_narrow = is_one & ((edge[above] == NO_EDGE) | (2.0 * (edge[above] - meet) < highest - low))
-        is_narrow_low = is_one_low & ((edge[below] == NO_EDGE) | (2.0 * (meet - edge[below]) < high - lowest))
-        is_edge = (meet < NO_EDGE) & ~(is_narrow | is_narrow_low)
+        # At the edge, if there is one, otherwise half way. Where rows miss a narrow face its neighbours have its place:
+        # where one meets it, it has that of a whole row.
+        is_edge = (meet < NO_EDGE) & (narrow[below] + narrow[m] == 0.0)
         # a plane that is beyond the range where the other ray looks extends to there or to its horizon
         slope = along[below] if met_low else along[m]
         plane = rest[below] if met_low else rest[m]

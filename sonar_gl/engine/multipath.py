@@ -30,10 +30,11 @@ from sonar_gl.sonar.sampling import MAX_ROWS, WORST_BODY
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
 SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
-# The relative error of multipath that is summed from the coarsest samples is nearly always less; it is compared with
-# nothing. As many samples as of the direct echo leave about so many tolerances.
+# These were fitted to random pools (`tools/promise.py`). Multipath from the coarsest samples, which are compared with
+# nothing, nearly always errs by less than the first, relative to itself; from as many samples as of the direct echo, by
+# about as many tolerances as the second says.
 FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
-HALVING_RATE = 0.85  # of the error: twice as much after each 1 / 0.85 halvings, about
+HALVING_RATE = 0.85  # each halving of the rows multiplies the error by two to this power, about
 # Of the error that a comparison shows: the estimate of the direct echo's error has room, and the two are added.
 BESIDE_DIRECT = 0.7
 FINEST_HALVINGS = -2  # four times as many samples as of the direct echo

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import trimesh
 
@@ -93,6 +95,57 @@ def random_world(seed: int):
     bodies = [sg.Body(b.name, b.mesh, world @ b.pose, b.reflectivity) for b in bodies]
     turn = sg.pose(0, 0, 0, rng.uniform(-0.3, 0.3), rng.uniform(-0.1, 0.15), rng.uniform(-0.3, 0.3))
     return sg.Scene(bodies, name=f"world {seed}"), sonar, world @ turn
+
+
+POOL_SONARS = (
+    "p900-45",
+    "p900-130",
+    "m450",
+    "oculus-m750d-lf",
+    "gemini-720is",
+    "gemini-720im",
+    "aris-1800-lf",
+    "didson-lf",
+    "sonoptix-echo",
+    "kongsberg-m3",
+)
+
+
+def random_pool(seed: int):
+    """Return (scene, sonar, pose, acoustics) of a seed: a calm surface above some of a floor, a wall and small bodies.
+
+    Multipath returns between nothing and a hundred times the direct echo.
+    """
+    rng = np.random.default_rng([seed, 77])
+    sonar = sg.load_sonar(str(rng.choice(POOL_SONARS)))
+    range_m = min(sonar.range_max_m, 10 ** rng.uniform(0.7, 1.3))
+    depth, bodies, half_fov = range_m * rng.uniform(0.05, 0.4), [], np.radians(sonar.azimuth_fov_deg) / 2
+    if rng.random() < 0.7:
+        mesh = trimesh.creation.box((6 * range_m, 6 * range_m, 1))
+        bodies.append(sg.Body("floor", mesh, sg.pose(0, 0, -depth - 0.5), rng.uniform(0.05, 1)))
+    if rng.random() < 0.7:
+        r, azimuth = range_m * rng.uniform(0.3, 0.9), rng.uniform(-0.8, 0.8)
+        place = r * np.cos(azimuth), r * np.sin(azimuth), -depth
+        mesh, turn = trimesh.creation.box((0.3, 4 * range_m, 2 * depth)), azimuth + rng.uniform(-0.5, 0.5)
+        bodies.append(sg.Body("wall", mesh, sg.pose(*place, yaw=turn), rng.uniform(0.05, 1)))
+    for number in range(rng.integers(0 if bodies else 1, 5)):
+        r, azimuth = range_m * rng.uniform(0.1, 0.9), rng.uniform(-half_fov, half_fov)
+        size = r * 10 ** rng.uniform(-1.7, -0.5)
+        mesh = (
+            trimesh.creation.icosphere(3, size / 2),
+            trimesh.creation.box((size, size / 2, 1.4 * size)),
+            trimesh.creation.cylinder(0.2 * size, 2 * size, sections=24),
+        )[rng.integers(3)]
+        place = r * np.cos(azimuth), r * np.sin(azimuth), -depth * rng.uniform(0.1, 1)
+        pose = sg.pose(*place, *rng.uniform(-0.5, 0.5, 3))
+        bodies.append(sg.Body(f"body {number}", mesh, pose, rng.uniform(0.1, 1)))
+    roughness_m = float(rng.choice([0.0, 1e-4]))
+    scene = sg.Scene(bodies, surface_z_m=0.0, surface_roughness_m=roughness_m, name=f"pool {seed}")
+    turn = rng.uniform(-0.1, 0.1), rng.uniform(-0.3, 0.25), rng.uniform(-0.2, 0.2)
+    acoustics = sg.Acoustics.physical() if rng.random() < 0.5 else sg.Acoustics.ideal()
+    acoustics = dataclasses.replace(acoustics, multipath=str(rng.choice(["incoherent", "coherent"])))
+    head = sg.pose(0, 0, -depth * rng.uniform(0.15, 0.85), *turn)
+    return scene, sonar.with_range(float(range_m)), head, acoustics
 
 
 def rods_before_a_wall(seed: int) -> tuple[sg.Scene, float]:
