@@ -37,7 +37,9 @@ FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
 HALVING_RATE = 0.85  # each halving of the rows multiplies the error by two to this power, about
 # Of the error that a comparison shows: the estimate of the direct echo's error has room, and the two are added.
 BESIDE_DIRECT = 0.7
-FINEST_HALVINGS = -2  # four times as many samples as of the direct echo
+# Estimated of the direct echo, in tolerances. That of a ping is not known where samples were given, and a ping of a
+# data set, whose samples were chosen, is to be made again by giving these.
+USUAL_DIRECT_ERROR = 0.8
 MIN_SHARE = 0.015  # bodies whose multipath may be more of the direct echo count by themselves
 WIDEST_COLUMN = 1.0  # twice as wide as those of direct echoes; with four times as wide ones slanted walls err
 # The half-width of the beams' support holds so many wide columns for the sonar's own samples: beams become half as wide
@@ -253,27 +255,19 @@ class ImageSources:
     thread : of the run's world
     scene : Scene
     tolerance : of the whole echo. Reflectors that can return no more than this share of it are left out
-    finest : the least number of halvings
 
     Attributes
     ----------
     choice : HalvingChoice
     """
 
-    COARSEST = max(THINNINGS)  # halvings
+    COARSEST, FINEST = max(THINNINGS), min(THINNINGS)  # halvings
 
-    def __init__(
-        self,
-        stages: StageCache,
-        thread: SecondThread,
-        scene: Scene,
-        tolerance: float,
-        finest: int = FINEST_HALVINGS,
-    ):
+    def __init__(self, stages: StageCache, thread: SecondThread, scene: Scene, tolerance: float):
         sonar, engine = stages.sonar, stages.engine
         # specular lobes hold for echoes straight back; the projector's weight would be that of the wrong way
         acoustics = replace(stages.acoustics, specular=False, transmit_beam=False)
-        self._draws_lobes, self._tolerance, self._finest = stages.acoustics.specular, tolerance, finest
+        self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
         self._thread = thread
         self._reach_rad = acoustics.receive_support_rad(sonar)
         self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
@@ -476,9 +470,8 @@ class ImageSources:
         direct = images.direct
         counts = MULTIPATH_GAIN * direct.echo > MIN_SHARE * direct.echo.sum()
         fewest = min(direct.samples[counts].min(initial=math.inf), direct.samples.sum())
-        # what the direct echo leaves of the tolerance is multipath's, as a share of it
-        spare = max(self._tolerance - (echo.direct_error or 0.0), 0.0)
-        most = self._tolerance + spare / max(share, 1e-30)
+        # what the direct echo leaves of the tolerance is multipath's
+        most = self._tolerance * (1 + (1 - USUAL_DIRECT_ERROR) / max(share, 1e-30))
         finest = self._finest_for(images)
         for halvings in range(self.COARSEST, finest, -1):
             fewer = times * THINNINGS[halvings].times_fewer
@@ -502,7 +495,7 @@ class ImageSources:
         """Return the least number of halvings whose samples fit for certain."""
         columns, rows, _ = THINNINGS[images.halvings]
         n_samples = images.own.fan.n_samples * columns * rows
-        return max(self._finest, min(math.ceil(math.log2(n_samples / MAX_CHOSEN_SAMPLES)), 0))
+        return max(self.FINEST, min(math.ceil(math.log2(n_samples / MAX_CHOSEN_SAMPLES)), 0))
 
     def _reflecting(self, pose, state: SceneState, index: kernels.ViewIndex, stage: Stage) -> list[tuple]:
         """Return the reflectors that may return more than the tolerance, one of each plane, each with it.

@@ -16,7 +16,7 @@ from sonar_gl.core.worker import Job, held
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
-from sonar_gl.engine.multipath import FINEST_HALVINGS, HalvingChoice, ImageSources, MultipathEcho
+from sonar_gl.engine.multipath import HalvingChoice, ImageSources, MultipathEcho
 from sonar_gl.engine.no_echo import why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
@@ -65,8 +65,7 @@ class Run:
             most = MAX_SAMPLES if sampling else MAX_CHOSEN_SAMPLES
             self.stages = StageCache(world.engine, sonar, acoustics, world.thread, most_samples=most)
             if acoustics.multipath != "none":
-                finest = 0 if sampling else FINEST_HALVINGS
-                self.image_sources = ImageSources(self.stages, world.thread, world.scene, tolerance, finest)
+                self.image_sources = ImageSources(self.stages, world.thread, world.scene, tolerance)
             if sampling:
                 self.sampler = FixedSampling(self.stages, sampling)
             else:
