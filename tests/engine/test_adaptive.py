@@ -372,7 +372,7 @@ class TestMoving:
         away, strong, far = sg.pose(pitch=0.3, yaw=-3.0), sg.pose(-2.0, pitch=0.2), sg.pose(-6.0, yaw=0.05)
         acoustics, pings = replace(IDEAL, multipath="incoherent"), []
         for before in (away, strong):
-            with sg.Simulator(scene, SONAR, acoustics, tolerance=0.05) as simulator:
+            with sg.Simulator(scene, SONAR, acoustics, tolerance=0.1) as simulator:
                 simulator.ping(before)
                 halvings = simulator.run.image_sources.halvings
                 pings.append((halvings, simulator.ping(far), simulator.run.image_sources.halvings))
