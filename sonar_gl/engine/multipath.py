@@ -26,7 +26,7 @@ from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.fan import ColumnWidths
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
-from sonar_gl.sonar.sampling import MAX_ROWS, WORST_BODY
+from sonar_gl.sonar.sampling import MAX_COLUMNS_PER_BEAM, MAX_ROWS, WORST_BODY
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
 SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
@@ -383,7 +383,7 @@ class ImageSources:
         columns, rows, is_drawn_alike = thinning = THINNINGS[self.halvings]
         sampling = replace(
             stage.sampling,
-            columns_per_beam=stage.sampling.columns_per_beam / columns,
+            columns_per_beam=min(stage.sampling.columns_per_beam / columns, MAX_COLUMNS_PER_BEAM),
             rows=min(math.ceil(stage.sampling.rows / rows), MAX_ROWS),
         )
         # halved ones may be for this ping alone, or for a first look at it

@@ -754,6 +754,16 @@ def test_as_the_sonar_moves_the_estimate_covers_multipath():
             assert np.abs(ping.intensity - truth).sum() / truth.sum() < ping.error_estimate
 
 
+def test_image_sources_of_given_samples_are_no_finer_than_a_sampling_can_be():
+    """Twice or four times as fine, columns went beyond 1024 in a beam, which a user had not asked for."""
+    sonar = replace(SONAR, n_beams=1, beam_width_deg=40.0)
+    with sg.Simulator(
+        wall_below_a_calm_surface(0.3), sonar, MULTIPATH, sg.Sampling(1000, 20), 0.001
+    ) as simulator:
+        assert simulator.ping(sg.pose(0, 0, -1.0)).intensity.sum() > 0
+        assert simulator.run.image_sources.halvings < 0
+
+
 def test_multipath_is_compared_again_after_each_check():
     """Not in the same ping: each comparison costs nearly a ping."""
     scene = wall_below_a_calm_surface(0.3)
