@@ -86,7 +86,8 @@ def facet_backscattering(grazing_rad, wind_speed_m_s: float):
 def bubble_loss_db(grazing_rad, frequency_hz: float, wind_speed_m_s: float):
     """Return what bubbles absorb of sound on its way to the surface and back from it, dB.
 
-    1.26e-3 / sin g · U^1.57 f^0.85, f in kHz; below 6 m/s the value there, less by the factor exp(1.2 (U − 6)).
+    1.26e-3 / sin g · U^1.57 f^0.85, f in kHz; below 6 m/s the value there, less by the factor exp(1.2 (U − 6))
+    (eqs. 28a and 28b, page II-21).
 
     Parameters
     ----------
