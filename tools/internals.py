@@ -41,8 +41,8 @@ def count_image_sources(simulator, pose) -> int:
     run = simulator.run
     setup = run.set_up(PingRequest(pose))
     with run.drawing():
-        resolution = run.sampler.resolution_for(setup)
-        (drawn,) = draw(run.image_sources_for(), [setup], resolution)
+        run.sampler.resolution_for(setup)
+        (drawn,) = draw(run.image_sources, [setup], run.resolution_ahead)
     return 0 if drawn.images is None else len(drawn.images.sources)
 
 
@@ -53,8 +53,7 @@ def ping_alone(simulator, pose, labels: bool = False) -> sg.Ping:
 
 def ping_with_all_samples(simulator, pose) -> sg.Ping:
     """Return a ping whose image sources have as many samples as its direct echo, however weak they are."""
-    if simulator.run.image_sources is not None:
-        simulator.run.image_sources.fix(0)
+    simulator.run.image_sampling.fix(0)
     return simulator.ping(pose)
 
 

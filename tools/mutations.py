@@ -641,8 +641,8 @@ MUTATIONS = (
     ),
     Mutation(
         "multipath/estimate",
-        "max(estimate, self.image_sources.error_of(",
-        "min(estimate, self.image_sources.error_of(",
+        "max(estimate, self.image_sampling.error_of(",
+        "min(estimate, self.image_sampling.error_of(",
         MULTIPATH,
     ),
     Mutation(

@@ -60,13 +60,15 @@ class Resolution:
     Attributes
     ----------
     stage : Stage of the direct view
+    halvings : how often rows are halved for image sources; None until that is chosen
     check : the error of this ping is to be estimated
     is_final : the ping is good whatever a check would say: these samples have just been chosen for it
-    finer_images : image sources were found to be sampled too coarsely before
+    finer_images : image sources alone are to be drawn once more, since they were sampled too coarsely
     error_estimate : that of this ping, whose samples were chosen from it alone; or None
     """
 
     stage: Stage
+    halvings: int | None = None
     check: bool = False
     is_final: bool = False
     finer_images: bool = False

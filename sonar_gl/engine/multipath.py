@@ -17,42 +17,60 @@ import numpy as np
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
 from sonar_gl.core.worker import SecondThread, run_halves
-from sonar_gl.engine.difference import wrong_share
 from sonar_gl.engine.stage import Stage, StageCache
-from sonar_gl.engine.visibility import BodyCounts, body_error, count_bodies, reception_of
-from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
+from sonar_gl.engine.visibility import BodyCounts, count_bodies, reception_of
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.fan import ColumnWidths
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
-from sonar_gl.sonar.sampling import MAX_COLUMNS_PER_BEAM, MAX_ROWS, WORST_BODY
+from sonar_gl.sonar.sampling import MAX_COLUMNS_PER_BEAM, MAX_ROWS
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
 SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
-# These were fitted to random pools (`tools/promise.py`). Multipath from the coarsest samples, which are compared with
-# nothing, nearly always errs by less than the first, relative to itself; from as many samples as of the direct echo, by
-# about as many tolerances as the second says.
-FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
-HALVING_RATE = 0.85  # each halving of the rows multiplies the error by two to this power, about
-# Of the error that a comparison shows: the estimate of the direct echo's error has room, and the two are added.
-BESIDE_DIRECT = 0.7
-# Estimated of the direct echo, in tolerances. That of a ping is not known where samples were given, and a ping of a
-# data set, whose samples were chosen, is to be made again by giving these.
-USUAL_DIRECT_ERROR = 0.8
-MIN_SHARE = 0.015  # bodies whose multipath may be more of the direct echo count by themselves
 WIDEST_COLUMN = 1.0  # twice as wide as those of direct echoes; with four times as wide ones slanted walls err
 # The half-width of the beams' support holds so many wide columns for the sonar's own samples: beams become half as wide
 # again for these. What goes straight to or from the skirts returns a hundredth of multipath, where it goes by way of
 # the reflector, or there both ways, as much as other directions.
 OWN_WIDE_COLUMNS = 3
 MULTIPATH_GAIN = 3.0  # an echo may meet the reflector on its way out, on its way back, or on both
-# A body whose multipath may count keeps about so many samples: if a small one were missed, its multipath would seem to
-# be weak, and the samples to suffice.
-LEAST_ON_BODY = 16
 # Samples of a view, about, on which bodies are counted: where a tolerance asks for ten times as many, it asks for so
 # many on each body that none lies between the rows that are counted.
 COUNTED = 1 << 16
+
+
+class Thinning(NamedTuple):
+    """Which samples are summed for image sources.
+
+    Attributes
+    ----------
+    columns, rows : samples of the direct view for one that is summed. Faces are planes, which few columns resolve,
+        while most edges that matter are level
+    is_drawn_alike : image sources are drawn with all samples, of whose rows so many are summed. Others are looked up,
+        since most of the error lies where shadows end. Drawing costs little beside sums, but more than weak multipath
+    """
+
+    columns: float
+    rows: float
+    is_drawn_alike: bool = False
+
+    @property
+    def times_fewer(self) -> float:
+        """How many times fewer samples are summed than are drawn for the direct echo."""
+        return self.rows if self.is_drawn_alike else self.columns * self.rows
+
+
+# After so many halvings of the rows. Where all are drawn they are whole numbers, so that some of them serve. Finer ones
+# are finer in both directions: rows alone would leave the error of columns, and not show it.
+THINNINGS = {
+    -2: Thinning(1 / 2, 1 / 2),
+    -1: Thinning(math.sqrt(1 / 2), math.sqrt(1 / 2)),
+    0: Thinning(1, 1, True),
+    1: Thinning(2, 2, True),
+    2: Thinning(4, 4),
+    3: Thinning(4, 8),
+}
+COARSEST, FINEST = max(THINNINGS), min(THINNINGS)
 
 
 class ImagePose(NamedTuple):
@@ -132,35 +150,6 @@ class ImageSourceSamples:
         return self.own.sampling.rows * THINNINGS[self.halvings].rows / 2**self.halvings
 
 
-class MultipathEcho(NamedTuple):
-    """The multipath of a ping beside its direct echo.
-
-    Attributes
-    ----------
-    images : ImageSourceSamples that it was summed from
-    multipath, direct : BeamEcho
-    direct_error : the estimated error of the direct echo; None without one
-    """
-
-    images: ImageSourceSamples
-    multipath: BeamEcho
-    direct: BeamEcho
-    direct_error: float | None
-
-    @property
-    def share(self) -> float:
-        """The echo relative to the direct echo."""
-        return self.multipath.total / max(self.direct.total, 1e-30)
-
-    def error_against(self, coarser: MultipathEcho) -> MultipathError | None:
-        """Return the error as the difference from the same multipath with fewer rows shows it; None without echo."""
-        if self.multipath.total <= 0:
-            return None
-        times = self.images.rows / coarser.images.rows
-        wrong = wrong_share(self.multipath, coarser.multipath, times)
-        return MultipathError(BESIDE_DIRECT * wrong, self.images.rows)
-
-
 class _FoundImage(NamedTuple):
     """The sonar's image behind a reflector that may return an echo, still without samples.
 
@@ -176,76 +165,6 @@ class _FoundImage(NamedTuple):
     pose: ImagePose
 
 
-class Thinning(NamedTuple):
-    """Which samples are summed for image sources.
-
-    Attributes
-    ----------
-    columns, rows : samples of the direct view for one that is summed. Faces are planes, which few columns resolve,
-        while most edges that matter are level
-    is_drawn_alike : image sources are drawn with all samples, of whose rows so many are summed. Others are looked up,
-        since most of the error lies where shadows end. Drawing costs little beside sums, but more than weak multipath
-    """
-
-    columns: float
-    rows: float
-    is_drawn_alike: bool = False
-
-    @property
-    def times_fewer(self) -> float:
-        """How many times fewer samples are summed than are drawn for the direct echo."""
-        return self.rows if self.is_drawn_alike else self.columns * self.rows
-
-
-# After so many halvings of the rows. Where all are drawn they are whole numbers, so that some of them serve. Finer ones
-# are finer in both directions: rows alone would leave the error of columns, and not show it.
-THINNINGS = {
-    -2: Thinning(1 / 2, 1 / 2),
-    -1: Thinning(math.sqrt(1 / 2), math.sqrt(1 / 2)),
-    0: Thinning(1, 1, True),
-    1: Thinning(2, 2, True),
-    2: Thinning(4, 4),
-    3: Thinning(4, 8),
-}
-
-
-class MultipathError(NamedTuple):
-    """The relative error of multipath, estimated by a comparison.
-
-    Attributes
-    ----------
-    error : relative to multipath
-    rows : `ImageSourceSamples.rows` that it was summed from
-    """
-
-    error: float
-    rows: float
-
-    def at(self, rows: float) -> float:
-        """Return the error with so many rows, about."""
-        return self.error * (self.rows / rows) ** HALVING_RATE
-
-
-class HalvingChoice(NamedTuple):
-    """How finely image sources are sampled.
-
-    Attributes
-    ----------
-    halvings : how often rows are halved
-    is_fixed : whether that stays
-    error : MultipathError of a ping with about such samples; None where none was compared
-    is_new : it follows no ping before: that from which it is chosen is drawn until it keeps the tolerance. Others leave
-        what a comparison shows to the next ping, so that none takes much longer than those before
-    is_due : the next ping is to be compared with one of the coarsest samples
-    """
-
-    halvings: int
-    is_fixed: bool = False
-    error: MultipathError | None = None
-    is_new: bool = False
-    is_due: bool = False
-
-
 class ImageSources:
     """The planar reflectors of a run, and the sonar's images behind them.
 
@@ -255,13 +174,7 @@ class ImageSources:
     thread : of the run's world
     scene : Scene
     tolerance : of the whole echo. Reflectors that can return no more than this share of it are left out
-
-    Attributes
-    ----------
-    choice : HalvingChoice
     """
-
-    COARSEST, FINEST = max(THINNINGS), min(THINNINGS)  # halvings
 
     def __init__(self, stages: StageCache, thread: SecondThread, scene: Scene, tolerance: float):
         sonar, engine = stages.sonar, stages.engine
@@ -281,7 +194,6 @@ class ImageSources:
         self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.water.sound_speed()
         self._wave_height_m = acoustics.water.wave_height_m()
         self._scene, self._reflectors, self._rows = None, [], 0
-        self.choice = HalvingChoice(self.COARSEST)
         self.use_scene(scene)
 
     def use_scene(self, scene: Scene) -> None:
@@ -292,69 +204,10 @@ class ImageSources:
             self._reflectivity = GreatestReflectivity.of(scene.bodies)
             self._scene = scene
 
-    @property
-    def first_choice(self) -> HalvingChoice:
-        """The coarsest samples, as if no ping had been made before, unless they are fixed."""
-        return self.choice if self.choice.is_fixed else HalvingChoice(self.COARSEST, is_new=True)
-
-    def reset(self) -> None:
-        """Begin with `first_choice`."""
-        self.choice = self.first_choice
-
-    def go_on(self, check: bool) -> None:
-        """Begin with the samples of the last ping, or with the coarsest, where others are to be compared with them.
-
-        check : the error of the direct echo is estimated, which takes time; that of multipath is so in the next ping
-        """
-        if not self.choice.is_fixed:
-            halvings = self.COARSEST if self.choice.is_due else self.halvings
-            self.choice = self.choice._replace(halvings=halvings, is_new=False, is_due=check)
-
-    def fix(self, halvings: int, error: MultipathError | None = None) -> None:
-        """Halve rows so often from now on; `error` as of `HalvingChoice`."""
-        self.choice = HalvingChoice(halvings, True, error)
-
-    def release(self) -> None:
-        """Choose samples ping by ping again."""
-        self.choice = self.choice._replace(is_fixed=False)
-
-    @property
-    def halvings(self) -> int:
-        """How often rows are halved, by the multipath of the last ping."""
-        return self.choice.halvings
-
-    def review(self, echo: MultipathEcho, coarser: MultipathEcho | None) -> bool:
-        """Adapt the samples to a ping's multipath; return whether this ping is to be drawn once more with them.
-
-        coarser : of the same ping with fewer samples, to compare with; None for none
-        """
-        if not self.choice.is_fixed:
-            if coarser is not None:
-                self.choice = self.choice._replace(error=echo.error_against(coarser))
-            # coarser only where they would stay so: otherwise they flicker
-            wanted, kept = (self._halvings_for(echo, times) for times in (1, 2))
-            if coarser is not None:  # estimates from few samples are rough
-                wanted = max(wanted, echo.images.halvings - 1)
-            self.choice = self.choice._replace(halvings=min(max(self.halvings, kept), wanted))
-        return echo.images.halvings > self.halvings and (coarser is None or self.choice.is_new)
-
-    def error_of(self, echo: MultipathEcho) -> float:
-        """Return the estimated error of the multipath in a ping, as a share of the whole echo, with the direct echo's.
-
-        It is that of the bins; at the least, comparable with `Plan.bound`, that of the bodies that the images see: a
-        body's own echo may err by WORST_BODY times the tolerance.
-        """
-        if echo.multipath.total <= 0:
-            return 0.0
-        share, images, known = echo.share / (1 + echo.share), echo.images, self.choice.error
-        own = FIRST_ERROR if known is None else known.at(images.rows)
-        of_bins = share * own + (1 - share) * (echo.direct_error or 0.0)
-        fewer = THINNINGS[images.halvings].times_fewer
-        return max(of_bins, _error_by_samples(share, images.imaged, fewer) / WORST_BODY)
-
     def draw(
         self,
         stage: Stage,
+        halvings: int,
         views: Sequence[ViewSamples],
         poses,
         states: Sequence[SceneState],
@@ -365,6 +218,7 @@ class ImageSources:
 
         Parameters
         ----------
+        halvings : how often rows are halved, a key of THINNINGS
         gains : of the bins, of each ping
         coarser : those of a single ping that too few samples were drawn for, and that these replace; None for none
         """
@@ -380,7 +234,7 @@ class ImageSources:
         if not found:
             return out
         numbers = sorted({one.number for one in found})
-        columns, rows, is_drawn_alike = thinning = THINNINGS[self.halvings]
+        columns, rows, is_drawn_alike = thinning = THINNINGS[halvings]
         sampling = replace(
             stage.sampling,
             columns_per_beam=min(stage.sampling.columns_per_beam / columns, MAX_COLUMNS_PER_BEAM),
@@ -416,7 +270,7 @@ class ImageSources:
         for number, own_view, of_direct in zip(numbers, own_views, direct, strict=True):
             mine = [k for k, one in enumerate(found) if one.number == number]
             out[number] = ImageSourceSamples(
-                halvings=self.halvings,
+                halvings=halvings,
                 direct=of_direct,
                 imaged=BodyCounts(
                     samples=np.concatenate([counts[k].samples * times_fewer for k in mine]),
@@ -460,43 +314,6 @@ class ImageSources:
         counts[::2], counts[1::2] = halves
         return counts
 
-    def _halvings_for(self, echo: MultipathEcho, times: int) -> int:
-        """Return how often rows may be halved.
-
-        times : so many times the multipath is taken to be there, and so many times fewer samples
-        """
-        share, images = times * echo.share, echo.images
-        # a body that the images missed has about as many samples in the direct view
-        direct = images.direct
-        counts = MULTIPATH_GAIN * direct.echo > MIN_SHARE * direct.echo.sum()
-        fewest = min(direct.samples[counts].min(initial=math.inf), direct.samples.sum())
-        # what the direct echo leaves of the tolerance is multipath's
-        most = self._tolerance * (1 + (1 - USUAL_DIRECT_ERROR) / max(share, 1e-30))
-        finest = self._finest_for(images)
-        for halvings in range(self.COARSEST, finest, -1):
-            fewer = times * THINNINGS[halvings].times_fewer
-            errors = [_error_by_samples(share, one, fewer) for one in (direct, images.imaged)]
-            bodies_err = fewest < LEAST_ON_BODY * fewer or max(errors) > self._tolerance * (1 + share)
-            # finer samples than those of the direct echo do not help bodies that have too few there
-            is_enough = halvings <= 0 or not bodies_err
-            if is_enough and self._expected_error(images, halvings) * times**HALVING_RATE <= most:
-                return halvings
-        return finest
-
-    def _expected_error(self, images: ImageSourceSamples, halvings: int) -> float:
-        """Return about what the relative error of a ping's multipath is, were rows halved so often."""
-        if self.choice.error is not None:
-            return self.choice.error.at(images.rows * 2.0 ** (images.halvings - halvings))
-        if halvings == self.COARSEST:
-            return FIRST_ERROR
-        return USUAL_ERROR * self._tolerance * 2.0 ** (HALVING_RATE * halvings)
-
-    def _finest_for(self, images: ImageSourceSamples) -> int:
-        """Return the least number of halvings whose samples fit for certain."""
-        columns, rows, _ = THINNINGS[images.halvings]
-        n_samples = images.own.fan.n_samples * columns * rows
-        return max(self.FINEST, min(math.ceil(math.log2(n_samples / MAX_CHOSEN_SAMPLES)), 0))
-
     def _reflecting(self, pose, state: SceneState, index: kernels.ViewIndex, stage: Stage) -> list[tuple]:
         """Return the reflectors that may return more than the tolerance, one of each plane, each with it.
 
@@ -535,21 +352,6 @@ class ImageSources:
         """Return (4,) the water's surface in the sonar's frame, normal up; zeros if there is none."""
         z = self._scene.surface_z_m
         return np.zeros(4) if z is None else np.append(pose[2, :3], z - pose[2, 3])
-
-
-def _error_by_samples(share: float, counts: BodyCounts, fewer: float) -> float:
-    """Return the error of multipath by the samples on the bodies that return it, relative to what `share` is.
-
-    At the worst it is that of the bodies with the fewest samples.
-
-    share : of multipath
-    counts : of the direct view or of the images'
-    fewer : times fewer samples than there
-    """
-    errors = np.minimum(body_error(np.maximum(counts.samples / fewer, 1.0)), 1.0)
-    order = np.argsort(-errors)
-    most = MULTIPATH_GAIN * share * counts.echo[order] / max(counts.echo.sum(), 1e-30)
-    return float(errors[order] @ np.diff(np.minimum(np.cumsum(most), share), prepend=0.0))
 
 
 def _are_alike(a, b) -> bool:

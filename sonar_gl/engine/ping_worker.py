@@ -12,7 +12,7 @@ from sonar_gl.core.worker import Job, JobThread, held
 from sonar_gl.engine.adaptive import AdaptiveSampling
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
-from sonar_gl.engine.multipath import HalvingChoice, ImageSources
+from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.pipeline import choose_samples, draw, receive, receive_chosen
 from sonar_gl.engine.run import Run
 from sonar_gl.engine.stage import StageCache
@@ -49,49 +49,46 @@ class PingWorker:
         self._tolerance, self._gain = run.tolerance, run.instrument.gain
         self._thread, self._making = JobThread(NAME), Lock()
 
-    def job(
-        self, setup: PingSetup, resolution: Resolution, choice: HalvingChoice | None, scene: Scene
-    ) -> Job:
+    def job(self, setup: PingSetup, resolution: Resolution, scene: Scene) -> Job:
         """Return a job that makes one ping; hand it over by `submit`.
 
         Parameters
         ----------
         resolution : its samples; the stage is replaced by the worker's own
-        choice : how often samples are halved for image sources; None without multipath
         """
 
         def make() -> list[ReceivedPing]:
             with held(self._making):  # a caller that settles the job runs it, perhaps beside this thread
-                self._use_images(choice, scene)
+                images = self._images_in(scene)
                 if resolution.stage.sampling != self._sampling:
                     self._stages.drop_large()  # of finer samples
                     self._sampling = resolution.stage.sampling
                 own = replace(resolution, stage=self._stages.stage(self._sampling))
-                return [receive(one) for one in draw(self._images, [setup], own)]
+                return [receive(one) for one in draw(images, [setup], own)]
 
         return Job(make, IN_USE)
 
-    def job_apart(self, setup: PingSetup, choice: HalvingChoice | None, scene: Scene) -> Job:
+    def job_apart(self, setup: PingSetup, halvings: int, scene: Scene) -> Job:
         """Return a job that makes one ping with samples chosen from it alone; it answers the Plan behind them, too.
 
-        choice : as of `job`
+        halvings : how often rows are halved for image sources
         """
 
         def make() -> tuple[ReceivedPing, Plan]:
             with held(self._making):
-                self._use_images(choice, scene)
+                images = self._images_in(scene)
                 if self._sampler is None:
                     self._sampler = AdaptiveSampling(self._stages, self._tolerance, self._gain)
                 chosen = choose_samples(self._sampler.choose, setup)
-                return receive_chosen(self._images, setup, chosen), chosen.plan
+                return receive_chosen(images, setup, chosen, halvings), chosen.plan
 
         return Job(make, IN_USE)
 
-    def _use_images(self, choice: HalvingChoice | None, scene: Scene) -> None:
-        """Have image sources sampled as the run has them."""
+    def _images_in(self, scene: Scene) -> ImageSources | None:
+        """Return the image sources in a scene; None without multipath."""
         if self._images is not None:
             self._images.use_scene(scene)
-            self._images.fix(choice.halvings)
+        return self._images
 
     def submit(self, job: Job) -> None:
         """Have the thread do a job."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 
@@ -41,7 +42,7 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 
 def sample(run: Run, setup: PingSetup) -> tuple[ReceivedPing, PingReport]:
     """Draw and receive a ping, again until its samples keep the tolerance, and report on it. Inside `drawing`."""
-    with run.plan_of_images(is_kept=not setup.request.alone):
+    with run.image_sampling.without_plan() if setup.request.alone else nullcontext():
         received = _sample_until_kept(run, run.with_later_bodies(setup))
         return received, run.report(received)
 
@@ -52,7 +53,7 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
         chosen = choose_samples(run.sampler.choose, setup)
         run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.number + 1)
         try:
-            received = receive_chosen(run.image_sources_for(is_apart=True), setup, chosen)
+            received = receive_chosen(run.image_sources, setup, chosen, run.image_sampling.begin_alone())
             resolution = run.review(received)
         except SampleLimitError as error:  # of its image sources
             if setup.request.alone:
@@ -61,21 +62,16 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
     else:
         received, resolution = None, run.sampler.resolution_for(setup)
     while resolution is not None:
-        coarser = None
-        if resolution.finer_images and received is not None:
-            sources, coarser = run.image_sources_for(finer=True), received
-            view, of_coarser = received.drawn.view, received.drawn.images
-            (images,) = draw_images(sources, resolution, [view], [setup], of_coarser)
-            drawn = replace(received.drawn, resolution=resolution, images=images)
-            received = replace(received, drawn=drawn, multipath=receive_multipath(drawn))
-        else:
-            try:
-                sources = run.image_sources_for(resolution.finer_images, resolution.check)
-                (drawn,) = draw(sources, [setup], resolution)
-            except SampleLimitError as error:
-                resolution = run.sampler.coarser(error)
-                continue
-            received = receive(drawn)
+        try:
+            if resolution.finer_images:
+                coarser, received = received, with_finer_images(run.image_sources, received, resolution)
+            else:
+                resolution = replace(resolution, halvings=run.image_sampling.begin(resolution.check))
+                (drawn,) = draw(run.image_sources, [setup], resolution)
+                coarser, received = None, receive(drawn)
+        except SampleLimitError as error:
+            resolution = run.coarser(error, received, resolution)
+            continue
         # a body came into view, or multipath is too coarse
         resolution = run.review(received, coarser)
     return received
@@ -86,13 +82,23 @@ def choose_samples(choose: Callable[..., ChosenView], setup: PingSetup) -> Chose
     return choose(setup, further_states(setup).needed)
 
 
-def receive_chosen(sources: ImageSources | None, setup: PingSetup, chosen: ChosenView) -> ReceivedPing:
+def receive_chosen(
+    sources: ImageSources | None, setup: PingSetup, chosen: ChosenView, halvings: int
+) -> ReceivedPing:
     """Receive a ping whose samples were chosen from it alone, and draw its image sources."""
     tried, plan = chosen
-    resolution = Resolution(tried.stage, is_final=True, error_estimate=plan.bound)
+    resolution = Resolution(tried.stage, halvings, is_final=True, error_estimate=plan.bound)
     (images,) = draw_images(sources, resolution, [tried.view], [setup])
     drawn = DrawnPing(setup, resolution, tried.view, images, further_states(setup).drawn(iter(tried.further)))
     return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))
+
+
+def with_finer_images(sources: ImageSources, received: ReceivedPing, resolution: Resolution) -> ReceivedPing:
+    """Draw and sum the image sources of a ping once more, with more samples."""
+    before = received.drawn
+    (images,) = draw_images(sources, resolution, [before.view], [before.setup], before.images)
+    drawn = replace(before, resolution=resolution, images=images)
+    return replace(received, drawn=drawn, multipath=receive_multipath(drawn))
 
 
 def draw(
@@ -127,7 +133,7 @@ def draw_images(
         return [None] * len(setups)
     poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
     gains = [setup.gain for setup in setups]
-    return sources.draw(resolution.stage, views, poses, states, gains, coarser)
+    return sources.draw(resolution.stage, resolution.halvings, views, poses, states, gains, coarser)
 
 
 def further_states(setup: PingSetup) -> FurtherViews:

@@ -10,13 +10,14 @@ from threading import Lock
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.core.errors import closed_error
+from sonar_gl.core.errors import SampleLimitError, closed_error
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, held
 from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.image_sampling import ImageSampling, MultipathEcho
 from sonar_gl.engine.instrument import Instrument
-from sonar_gl.engine.multipath import HalvingChoice, ImageSources, MultipathEcho
+from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.no_echo import why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
@@ -41,7 +42,7 @@ class Run:
     ----------
     instrument : Instrument
     sampler : Sampler, which chooses the resolution of each ping
-    image_sources : ImageSources; None without multipath
+    image_sampling : ImageSampling, which chooses how finely image sources are sampled
     tolerance : as given, whether or not the sampler keeps it
     """
 
@@ -51,7 +52,8 @@ class Run:
         world.join(id(self))
         self._world, self._origin, self._described = world, None, None
         self._in_flight, self._summing, self._is_closed, self._idle_workers = [], Lock(), False, []
-        self.image_sources, self.tolerance, self._has_warned_of_air = None, tolerance, False
+        self._image_sources, self.tolerance, self._has_warned_of_air = None, tolerance, False
+        self.image_sampling = ImageSampling(tolerance, each_alone=sampling is not None)
         try:
             self.instrument = Instrument(sonar, acoustics)
             self._make_stages(sampling, tolerance)
@@ -65,7 +67,7 @@ class Run:
             most = MAX_SAMPLES if sampling else MAX_CHOSEN_SAMPLES
             self.stages = StageCache(world.engine, sonar, acoustics, world.thread, most_samples=most)
             if acoustics.multipath != "none":
-                self.image_sources = ImageSources(self.stages, world.thread, world.scene, tolerance)
+                self._image_sources = ImageSources(self.stages, world.thread, world.scene, tolerance)
             if sampling:
                 self.sampler = FixedSampling(self.stages, sampling)
             else:
@@ -180,25 +182,17 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
-    def image_sources_for(
-        self, finer: bool = False, check: bool = False, is_apart: bool = False
-    ) -> ImageSources | None:
-        """Return the image sources, ready to draw those of some pings; None without multipath.
+    @property
+    def resolution_ahead(self) -> Resolution:
+        """The resolution of a ping that is made while those before are awaited."""
+        return replace(self.sampler.resolution, halvings=self.image_sampling.ahead)
 
-        Parameters
-        ----------
-        finer : they are drawn once more, with the samples that were chosen for them
-        check : the error of this ping is to be estimated, and that of its multipath, too
-        is_apart : the samples were chosen from this ping alone, and those of image sources are to be, too
-        """
-        if self.image_sources is not None:
-            self.image_sources.use_scene(self.world.scene)
-            # finer samples are compared with coarser ones of the same ping, before others have them
-            if not finer and (self._is_independent(is_apart) or self.image_sources.choice.error is None):
-                self.image_sources.reset()
-            elif not finer:
-                self.image_sources.go_on(check)
-        return self.image_sources
+    @property
+    def image_sources(self) -> ImageSources | None:
+        """The image sources in the scene as it is now; None without multipath."""
+        if self._image_sources is not None:
+            self._image_sources.use_scene(self.world.scene)
+        return self._image_sources
 
     def take_workers(self, count: int, make: Callable) -> list:
         """Return so many `PingWorker`s: those of past sequences, whose stages are made already, then new ones."""
@@ -209,33 +203,6 @@ class Run:
         if not self._is_closed:  # else their stages would stay in memory
             self._idle_workers[:] = [*self._idle_workers, *workers][-len(workers) :]
 
-    def image_choice(self, is_apart: bool = False) -> HalvingChoice | None:
-        """Return how often samples are halved for the image sources of the next ping; None without multipath.
-
-        is_apart : as of `image_sources_for`; those of pings that are being made go on from theirs
-        """
-        images = self.image_sources
-        if images is None:
-            return None
-        return images.first_choice if self._is_independent(is_apart) else images.choice
-
-    @contextmanager
-    def plan_of_images(self, is_kept: bool):
-        """Have image sources sampled as was planned, or, for the time of the block, as if nothing had been planned."""
-        images = self.image_sources
-        planned = None if is_kept or images is None or not images.choice.is_fixed else images.choice
-        try:
-            if planned is not None:
-                images.release()
-            yield
-        finally:
-            if planned is not None:
-                images.choice = planned
-
-    def _is_independent(self, is_apart: bool) -> bool:
-        """Return whether image sources of a ping do not depend on those of the pings before."""
-        return is_apart or self.sampler.tolerance is None
-
     def review(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> Resolution | None:
         """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance.
 
@@ -243,8 +210,24 @@ class Run:
         """
         resolution = self.sampler.review(received)
         if resolution is None and self._review_images(received, coarser):
-            return replace(received.drawn.resolution, is_final=True, finer_images=True)
+            halvings = self.image_sampling.choice.halvings
+            return replace(received.drawn.resolution, halvings=halvings, is_final=True, finer_images=True)
         return resolution
+
+    def coarser(
+        self, error: SampleLimitError, received: ReceivedPing | None, resolution: Resolution
+    ) -> Resolution | None:
+        """Return a resolution in place of one whose samples are more than fit, or raise the error again.
+
+        None if it was of image sources alone, and the ping has the finest of these that fit.
+
+        received : the ping with coarser samples; None before it was received
+        """
+        if not resolution.finer_images:
+            return self.sampler.coarser(error)
+        halvings = resolution.halvings + 1
+        self.image_sampling.keep_to(halvings)
+        return replace(resolution, halvings=halvings) if halvings < received.drawn.images.halvings else None
 
     def is_outdated(self, received: ReceivedPing, choice) -> bool:
         """Return whether a ping of a sequence must be made again; `choice` of the sampler when it was made."""
@@ -256,14 +239,13 @@ class Run:
 
     def review_apart(self, received: ReceivedPing) -> bool:
         """Return whether the image sources of a ping whose samples were chosen from it alone are to be drawn finer."""
-        if self.image_sources is not None:
-            self.image_sources.reset()
+        self.image_sampling.begin_alone()
         return self._review_images(received)
 
     def _review_images(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> bool:
         """Return whether the image sources of a ping are to be drawn finer; `coarser` as of `review`."""
         echo = self._multipath_of(received)
-        return echo is not None and self.image_sources.review(echo, coarser and self._multipath_of(coarser))
+        return echo is not None and self.image_sampling.review(echo, coarser and self._multipath_of(coarser))
 
     def _multipath_of(self, received: ReceivedPing) -> MultipathEcho | None:
         if received.multipath is None:
@@ -300,7 +282,7 @@ class Run:
             no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
         estimate, echo = self._direct_error(received), self._multipath_of(received)
         if estimate is not None and echo is not None:
-            estimate = max(estimate, self.image_sources.error_of(echo))
+            estimate = max(estimate, self.image_sampling.error_of(echo))
         origin = self.sample_origin()
         # others were added since it was set up, and are not in it
         if setup.n_bodies < len(origin.bodies) or setup.n_plumes < len(origin.plumes):
@@ -326,7 +308,7 @@ class Run:
     def _release(self) -> None:
         for job in self._in_flight:
             job.settle()
-        self.stages = self.sampler = self.image_sources = None
+        self.stages = self.sampler = self._image_sources = None
         self._in_flight, self._idle_workers = [], []
 
     def forget(self) -> None:

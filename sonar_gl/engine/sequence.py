@@ -18,7 +18,7 @@ from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.adaptive import evenly_picked
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup
-from sonar_gl.engine.multipath import ImageSources
+from sonar_gl.engine.multipath import COARSEST
 from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
@@ -90,26 +90,24 @@ def plan(run: Run, requests: Iterable[PingRequest]) -> Plan | None:
     setups = [run.set_up(request) for request in requests]
     with run.drawing():
         setups = [run.with_later_bodies(setup) for setup in setups]
-        sampler, images = run.sampler, run.image_sources
-        before = sampler.choice, images and images.choice
+        sampler, images = run.sampler, run.image_sampling
+        before = sampler.choice, images.choice
         try:
             chosen = sampler.fix(setups)
-            if images is not None:
-                _fix_images(run, images, setups)
+            if run.image_sources is not None:
+                _fix_images(run, setups)
         except BaseException:
-            sampler.choice = before[0]
-            if images is not None:
-                images.choice = before[1]
+            sampler.choice, images.choice = before
             raise
     return chosen
 
 
-def _fix_images(run: Run, images: ImageSources, setups: Sequence[PingSetup]) -> None:
+def _fix_images(run: Run, setups: Sequence[PingSetup]) -> None:
     """Choose the samples of image sources for all of some pings, for IMAGE_POSES of many, and stay with them."""
+    images, least, errors = run.image_sampling, COARSEST, []
     images.release()
-    least, errors = images.COARSEST, []
     for setup in evenly_picked(setups, IMAGE_POSES):
-        images.reset()
+        images.begin_alone()
         received, _ = sample(run, setup)
         if (found := received.drawn.images) is not None:
             least = min(least, found.halvings)
@@ -260,9 +258,7 @@ class _Overlap:
 
     def start(self, setups: list[PingSetup]) -> Job:
         """Draw some pings, and begin to receive them; inside `drawing`."""
-        resolution = self._run.sampler.resolution
-        sources = self._run.image_sources_for()
-        drawn = draw(sources, setups, resolution, keep_last=True)
+        drawn = draw(self._run.image_sources, setups, self._run.resolution_ahead, keep_last=True)
         job = self._run.receive_later(lambda: [receive(one) for one in drawn])
         self._thread.submit(job)
         return job
@@ -285,14 +281,14 @@ class _Workers:
     def start(self, setups: list[PingSetup]) -> Job:
         """Begin to make a ping."""
         run, worker, (setup,) = self._run, self._next(), setups
-        job = run.await_job(worker.job(setup, run.sampler.resolution, run.image_choice(), run.world.scene))
+        job = run.await_job(worker.job(setup, run.resolution_ahead, run.world.scene))
         worker.submit(job)
         return job
 
     def start_apart(self, setup: PingSetup) -> Job:
         """Begin to make a ping with samples chosen from it alone."""
         run, worker = self._run, self._next()
-        job = run.await_job(worker.job_apart(setup, run.image_choice(is_apart=True), run.world.scene))
+        job = run.await_job(worker.job_apart(setup, run.image_sampling.alone, run.world.scene))
         worker.submit(job)
         return job
 
@@ -409,8 +405,7 @@ def _sampled(run: Run, setup: PingSetup) -> Ping:
 def _without_echo(run: Run, setup: PingSetup) -> Ping:
     """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
     with run.drawing():
-        setup, resolution = run.with_later_bodies(setup), run.sampler.resolution
-        (drawn,) = draw(run.image_sources_for(), [setup], resolution)
+        (drawn,) = draw(run.image_sources, [run.with_later_bodies(setup)], run.resolution_ahead)
         received = receive(drawn)
         report = run.report(received)
     return finish(run, received, report)

@@ -15,7 +15,7 @@ from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import error_model, visibility
 from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
-from sonar_gl.engine.multipath import ImageSources
+from sonar_gl.engine.multipath import COARSEST, ImageSources
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, glint_share, is_unobstructed
@@ -374,10 +374,10 @@ class TestMoving:
         for before in (away, strong):
             with sg.Simulator(scene, SONAR, acoustics, tolerance=0.1) as simulator:
                 simulator.ping(before)
-                halvings = simulator.run.image_sources.halvings
-                pings.append((halvings, simulator.ping(far), simulator.run.image_sources.halvings))
+                halvings = simulator.run.image_sampling.choice.halvings
+                pings.append((halvings, simulator.ping(far), simulator.run.image_sampling.choice.halvings))
         (first, one, n_one), (second, other, n_other) = pings
-        assert first == ImageSources.COARSEST > n_one == n_other > second
+        assert first == COARSEST > n_one == n_other > second
         np.testing.assert_array_equal(one.intensity, other.intensity)
         assert one.error_estimate == other.error_estimate
 

@@ -9,7 +9,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.beamform import kernels
-from sonar_gl.engine import multipath, pipeline
+from sonar_gl.engine import image_sampling, multipath, pipeline
 from sonar_gl.engine.adaptive import CHECK_EVERY
 from sonar_gl.raster.cull import MARGIN
 from sonar_gl.scene.reflectors import (
@@ -362,7 +362,9 @@ def test_weak_reflectors_are_not_drawn(perfect, monkeypatch):
             stage, state = run.sampler.resolution.stage, run.world.state_of(None)
             with run.drawing():
                 views = stage.draw([pose], [state], with_bodies=True)
-                (found,) = images.draw(stage, views, [pose], [state], [run.instrument.gain])
+                (found,) = images.draw(
+                    stage, multipath.COARSEST, views, [pose], [state], [run.instrument.gain]
+                )
             assert (0 if found is None else len(found.sources)) == n_sources, loss
 
 
@@ -628,11 +630,10 @@ def test_few_samples_do_not_extend_a_body(perfect, monkeypatch, is_naive):
     for height_m in (0.90, 0.95, 1.00, 1.05):  # a row is 16 mm: windows end at other rows
         scene = sg.Scene([plate, ball(7, 0, height_m, 0.2)])
         with sg.Simulator(scene, SONAR, MULTIPATH, FINE) as simulator:
-            images = simulator.run.image_sources
-            for halvings in range(images.COARSEST + 1):
-                images.fix(halvings)
+            for halvings in range(multipath.COARSEST + 1):
+                simulator.run.image_sampling.fix(halvings)
                 simulator.ping(pose)
-    assert len(met) == 2 * 4 * (multipath.ImageSources.COARSEST + 1) and min(rows) > 0
+    assert len(met) == 2 * 4 * (multipath.COARSEST + 1) and min(rows) > 0
     # of the rows of the direct view, every fourth or eighth, the highest may meet the ball; below is the plate
     assert any(met) == is_naive
 
@@ -646,7 +647,7 @@ def test_wide_columns_of_the_sonar_and_of_its_images_are_apart(perfect, monkeypa
     for columns in (multipath.OWN_WIDE_COLUMNS, 4 * multipath.OWN_WIDE_COLUMNS):
         monkeypatch.setattr(multipath, "OWN_WIDE_COLUMNS", columns)
         with sg.Simulator(scene, sonar, acoustics, sg.Sampling(2, 80)) as simulator:
-            simulator.run.image_sources.fix(1)
+            simulator.run.image_sampling.fix(1)
             pings.append(simulator.ping(pose).intensity.astype(np.float64))
     wide, narrow = pings
     # measured: 5e-5 of the whole echo
@@ -715,7 +716,7 @@ def error_of_ping(scene, pose, sonar, acoustics):
     own = sg.Sampling(**ping.meta["sampling"])
     many = replace(own, columns_per_beam=3 * own.columns_per_beam, rows=3 * own.rows)
     with sg.Simulator(scene, sonar, acoustics, many) as simulator:
-        simulator.run.image_sources.fix(0)
+        simulator.run.image_sampling.fix(0)
         truth = simulator.ping(pose).intensity.astype(np.float64)
     return np.abs(ping.intensity - truth).sum() / truth.sum(), ping.error_estimate
 
@@ -748,7 +749,7 @@ def test_as_the_sonar_moves_the_estimate_covers_multipath():
         own = simulator.sampling
     many = replace(own, columns_per_beam=3 * own.columns_per_beam, rows=3 * own.rows)
     with sg.Simulator(scene, sonar, acoustics, many) as simulator:
-        simulator.run.image_sources.fix(0)
+        simulator.run.image_sampling.fix(0)
         for pose, ping in looked_at:
             truth = simulator.ping(pose).intensity.astype(np.float64)
             assert np.abs(ping.intensity - truth).sum() / truth.sum() < ping.error_estimate
@@ -761,7 +762,23 @@ def test_image_sources_of_given_samples_are_no_finer_than_a_sampling_can_be():
         wall_below_a_calm_surface(0.3), sonar, MULTIPATH, sg.Sampling(1000, 20), 0.001
     ) as simulator:
         assert simulator.ping(sg.pose(0, 0, -1.0)).intensity.sum() > 0
-        assert simulator.run.image_sources.halvings < 0
+        assert simulator.run.image_sampling.choice.halvings < 0
+
+
+def test_image_sources_of_given_samples_are_no_finer_than_fits_into_the_driver_s_pictures():
+    """An error said that more columns had come than the user had asked for."""
+    sonar = replace(SONAR, n_beams=30, azimuth_fov_deg=60.0, beam_width_deg=2.0)
+    scene, settings = wall_below_a_calm_surface(0.3), (MULTIPATH, sg.Sampling(400, 20), 0.001)
+    with sg.Simulator(scene, sonar, *settings, engine="opengl") as simulator:
+        found = simulator.ping(sg.pose(0, 0, -1.0)).intensity.astype(np.float64)
+        # 12 000 of at most 16 384 columns are as many as those of the direct view
+        assert simulator.run.image_sampling.choice.halvings == 0
+    with sg.Simulator(scene, sonar, *settings, engine="cpu") as simulator:
+        simulator.ping(sg.pose(0, 0, -1.0))
+        assert simulator.run.image_sampling.choice.halvings < 0
+        simulator.run.image_sampling.fix(0)
+        alike = simulator.ping(sg.pose(0, 0, -1.0)).intensity.astype(np.float64)
+    assert np.abs(found - alike).sum() < 1.5e-4 * alike.sum()  # as far as the engines may differ
 
 
 def test_multipath_is_compared_again_after_each_check():
@@ -771,7 +788,7 @@ def test_multipath_is_compared_again_after_each_check():
         errors = []
         for k in range(CHECK_EVERY + 3):
             simulator.ping(sg.pose(1e-3 * k, 0, -1.0))
-            errors.append(simulator.run.image_sources.choice.error)
+            errors.append(simulator.run.image_sampling.choice.error)
     assert len(set(errors[: CHECK_EVERY + 1])) == 1 and errors[0].error > 0
     assert errors[CHECK_EVERY + 1] == errors[CHECK_EVERY + 2] != errors[0]
 
@@ -808,7 +825,7 @@ def test_a_plan_holds_for_image_sources_with_fixed_samples(perfect):
     scene, strong, _ = SCENES["floor, rolled and pitched"]
     with sg.Simulator(scene, SONAR, MULTIPATH, sg.Sampling(2, 80)) as simulator:
         reviewed = simulator.ping(strong).intensity
-        assert simulator.run.image_sources.halvings < multipath.ImageSources.COARSEST
+        assert simulator.run.image_sampling.choice.halvings < multipath.COARSEST
         simulator.plan([strong])
         np.testing.assert_array_equal(simulator.ping(strong).intensity, reviewed)
         np.testing.assert_array_equal(next(simulator.pings([strong])).intensity, reviewed)
@@ -828,7 +845,7 @@ def test_the_tolerance_decides_on_reflectors_with_given_samples(perfect):
 
 
 def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
-    monkeypatch.setattr(multipath.ImageSources, "COARSEST", 0)  # all samples in both pings
+    monkeypatch.setattr(image_sampling, "COARSEST", 0)  # all samples in both pings
     slope = np.linspace(0.0, 1.0, N_SINES)  # the sine of the grazing angle itself
     floor, pose = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), sg.pose(0, 0, 2.0)
     scene, sonar = sg.Scene([floor, ball(10, 0, 2.0, 0.05)]), replace(SONAR, elevation_fov_deg=60.0)

@@ -1,0 +1,253 @@
+"""How finely image sources are sampled: for one ping, for planned poses, or as the sonar moves.
+
+Weak multipath needs few samples. A ping begins with the coarsest, or with those of the ping before; where its multipath
+is too strong for them, its image sources are drawn once more, and the difference tells the error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.beamform.beamformer import BeamEcho
+from sonar_gl.engine.difference import wrong_share
+from sonar_gl.engine.multipath import COARSEST, FINEST, MULTIPATH_GAIN, THINNINGS, ImageSourceSamples
+from sonar_gl.engine.visibility import BodyCounts, body_error
+from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
+from sonar_gl.sonar.sampling import WORST_BODY
+
+# These were fitted to random pools (`tools/promise.py`). Multipath from the coarsest samples, which are compared with
+# nothing, nearly always errs by less than the first, relative to itself; from as many samples as of the direct echo, by
+# about as many tolerances as the second says.
+FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
+HALVING_RATE = 0.85  # each halving of the rows multiplies the error by two to this power, about
+# Of the error that a comparison shows: the estimate of the direct echo's error has room, and the two are added.
+BESIDE_DIRECT = 0.7
+# Estimated of the direct echo, in tolerances. That of a ping is not known where samples were given, and a ping of a
+# data set, whose samples were chosen, is to be made again by giving these.
+USUAL_DIRECT_ERROR = 0.8
+MIN_SHARE = 0.015  # bodies whose multipath may be more of the direct echo count by themselves
+# A body whose multipath may count keeps about so many samples: if a small one were missed, its multipath would seem to
+# be weak, and the samples to suffice.
+LEAST_ON_BODY = 16
+
+
+class MultipathEcho(NamedTuple):
+    """The multipath of a ping beside its direct echo.
+
+    Attributes
+    ----------
+    images : ImageSourceSamples that it was summed from
+    multipath, direct : BeamEcho
+    direct_error : the estimated error of the direct echo; None without one
+    """
+
+    images: ImageSourceSamples
+    multipath: BeamEcho
+    direct: BeamEcho
+    direct_error: float | None
+
+    @property
+    def share(self) -> float:
+        """The echo relative to the direct echo."""
+        return self.multipath.total / max(self.direct.total, 1e-30)
+
+    def error_against(self, coarser: MultipathEcho) -> MultipathError | None:
+        """Return the error as the difference from the same multipath with fewer rows shows it; None without echo."""
+        if self.multipath.total <= 0:
+            return None
+        times = self.images.rows / coarser.images.rows
+        wrong = wrong_share(self.multipath, coarser.multipath, times)
+        return MultipathError(BESIDE_DIRECT * wrong, self.images.rows)
+
+
+class MultipathError(NamedTuple):
+    """The relative error of multipath, estimated by a comparison.
+
+    Attributes
+    ----------
+    error : relative to multipath
+    rows : `ImageSourceSamples.rows` that it was summed from
+    """
+
+    error: float
+    rows: float
+
+    def at(self, rows: float) -> float:
+        """Return the error with so many rows, about."""
+        return self.error * (self.rows / rows) ** HALVING_RATE
+
+
+class HalvingChoice(NamedTuple):
+    """How finely image sources are sampled.
+
+    Attributes
+    ----------
+    halvings : how often rows are halved
+    is_fixed : whether that stays
+    error : MultipathError of a ping with about such samples; None where none was compared
+    is_new : it follows no ping before: that from which it is chosen is drawn until it keeps the tolerance. Others leave
+        what a comparison shows to the next ping, so that none takes much longer than those before
+    is_due : the next ping is to be compared with one of the coarsest samples
+    """
+
+    halvings: int
+    is_fixed: bool = False
+    error: MultipathError | None = None
+    is_new: bool = False
+    is_due: bool = False
+
+
+class ImageSampling:
+    """Chooses how finely image sources are sampled, by the multipath of each ping.
+
+    Parameters
+    ----------
+    tolerance : of the whole echo
+    each_alone : each ping begins with the coarsest samples, so that it does not depend on those before
+
+    Attributes
+    ----------
+    choice : HalvingChoice; whoever takes a step of several that may be broken off keeps it, and puts it back
+    """
+
+    def __init__(self, tolerance: float, each_alone: bool):
+        self._tolerance, self._each_alone = tolerance, each_alone
+        self.choice = HalvingChoice(COARSEST)
+
+    def begin_alone(self) -> int:
+        """Return the halvings of the next ping: the most, as if none had been made before, unless they are fixed."""
+        if not self.choice.is_fixed:
+            self.choice = HalvingChoice(COARSEST, is_new=True)
+        return self.choice.halvings
+
+    def begin(self, check: bool) -> int:
+        """Return the halvings of the next ping: those of the last, or the most, where others are to be compared.
+
+        check : the error of the direct echo is estimated, which takes time; that of multipath is so in the next ping
+        """
+        if self._each_alone or self.choice.error is None:
+            return self.begin_alone()
+        if not self.choice.is_fixed:
+            halvings = COARSEST if self.choice.is_due else self.choice.halvings
+            self.choice = self.choice._replace(halvings=halvings, is_new=False, is_due=check)
+        return self.choice.halvings
+
+    @property
+    def ahead(self) -> int:
+        """The halvings of a ping that is made while those before are awaited: they go on from theirs."""
+        return self.alone if self._each_alone else self.choice.halvings
+
+    @property
+    def alone(self) -> int:
+        """The halvings with which `begin_alone` begins."""
+        return self.choice.halvings if self.choice.is_fixed else COARSEST
+
+    def fix(self, halvings: int, error: MultipathError | None = None) -> None:
+        """Halve rows so often from now on; `error` as of `HalvingChoice`."""
+        self.choice = HalvingChoice(halvings, True, error)
+
+    def release(self) -> None:
+        """Choose samples ping by ping again."""
+        self.choice = self.choice._replace(is_fixed=False)
+
+    @contextmanager
+    def without_plan(self) -> Iterator[None]:
+        """Choose samples as if nothing had been planned, inside a `with` block."""
+        planned = self.choice
+        try:
+            self.release()
+            yield
+        finally:
+            if planned.is_fixed:
+                self.choice = planned
+
+    def review(self, echo: MultipathEcho, coarser: MultipathEcho | None = None) -> bool:
+        """Adapt the samples to a ping's multipath; return whether this ping is to be drawn once more with them.
+
+        coarser : of the same ping with fewer samples, to compare with; None for none
+        """
+        if not self.choice.is_fixed:
+            if coarser is not None:
+                self.choice = self.choice._replace(error=echo.error_against(coarser))
+            # coarser only where they would stay so: otherwise they flicker
+            wanted, kept = (self._halvings_for(echo, times) for times in (1, 2))
+            if coarser is not None:  # estimates from few samples are rough
+                wanted = max(wanted, echo.images.halvings - 1)
+            self.choice = self.choice._replace(halvings=min(max(self.choice.halvings, kept), wanted))
+        return echo.images.halvings > self.choice.halvings and (coarser is None or self.choice.is_new)
+
+    def keep_to(self, halvings: int) -> None:
+        """Halve rows no less often in the next ping, since finer samples do not fit."""
+        self.choice = self.choice._replace(halvings=max(self.choice.halvings, halvings))
+
+    def error_of(self, echo: MultipathEcho) -> float:
+        """Return the estimated error of the multipath in a ping, as a share of the whole echo, with the direct echo's.
+
+        It is that of the bins; at the least, comparable with `Plan.bound`, that of the bodies that the images see: a
+        body's own echo may err by WORST_BODY times the tolerance.
+        """
+        if echo.multipath.total <= 0:
+            return 0.0
+        share, images, known = echo.share / (1 + echo.share), echo.images, self.choice.error
+        own = FIRST_ERROR if known is None else known.at(images.rows)
+        of_bins = share * own + (1 - share) * (echo.direct_error or 0.0)
+        fewer = THINNINGS[images.halvings].times_fewer
+        return max(of_bins, _error_by_samples(share, images.imaged, fewer) / WORST_BODY)
+
+    def _halvings_for(self, echo: MultipathEcho, times: int) -> int:
+        """Return how often rows may be halved.
+
+        times : so many times the multipath is taken to be there, and so many times fewer samples
+        """
+        share, images = times * echo.share, echo.images
+        # a body that the images missed has about as many samples in the direct view
+        direct = images.direct
+        counts = MULTIPATH_GAIN * direct.echo > MIN_SHARE * direct.echo.sum()
+        fewest = min(direct.samples[counts].min(initial=math.inf), direct.samples.sum())
+        # what the direct echo leaves of the tolerance is multipath's
+        most = self._tolerance * (1 + (1 - USUAL_DIRECT_ERROR) / max(share, 1e-30))
+        finest = _finest_for(images)
+        for halvings in range(COARSEST, finest, -1):
+            fewer = times * THINNINGS[halvings].times_fewer
+            errors = [_error_by_samples(share, one, fewer) for one in (direct, images.imaged)]
+            bodies_err = fewest < LEAST_ON_BODY * fewer or max(errors) > self._tolerance * (1 + share)
+            # finer samples than those of the direct echo do not help bodies that have too few there
+            is_enough = halvings <= 0 or not bodies_err
+            if is_enough and self._expected_error(images, halvings) * times**HALVING_RATE <= most:
+                return halvings
+        return finest
+
+    def _expected_error(self, images: ImageSourceSamples, halvings: int) -> float:
+        """Return about what the relative error of a ping's multipath is, were rows halved so often."""
+        if self.choice.error is not None:
+            return self.choice.error.at(images.rows * 2.0 ** (images.halvings - halvings))
+        if halvings == COARSEST:
+            return FIRST_ERROR
+        return USUAL_ERROR * self._tolerance * 2.0 ** (HALVING_RATE * halvings)
+
+
+def _finest_for(images: ImageSourceSamples) -> int:
+    """Return the least number of halvings whose samples fit for certain."""
+    columns, rows, _ = THINNINGS[images.halvings]
+    n_samples = images.own.fan.n_samples * columns * rows
+    return max(FINEST, min(math.ceil(math.log2(n_samples / MAX_CHOSEN_SAMPLES)), 0))
+
+
+def _error_by_samples(share: float, counts: BodyCounts, fewer: float) -> float:
+    """Return the error of multipath by the samples on the bodies that return it, relative to what `share` is.
+
+    At the worst it is that of the bodies with the fewest samples.
+
+    share : of multipath
+    counts : of the direct view or of the images'
+    fewer : times fewer samples than there
+    """
+    errors = np.minimum(body_error(np.maximum(counts.samples / fewer, 1.0)), 1.0)
+    order = np.argsort(-errors)
+    most = MULTIPATH_GAIN * share * counts.echo[order] / max(counts.echo.sum(), 1e-30)
+    return float(errors[order] @ np.diff(np.minimum(np.cumsum(most), share), prepend=0.0))
