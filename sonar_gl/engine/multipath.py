@@ -233,27 +233,11 @@ class ImageSources:
         out: list[ImageSourceSamples | None] = [None] * len(poses)
         if not found:
             return out
-        numbers = sorted({one.number for one in found})
-        columns, rows, is_drawn_alike = thinning = THINNINGS[halvings]
-        sampling = replace(
-            stage.sampling,
-            columns_per_beam=min(stage.sampling.columns_per_beam / columns, MAX_COLUMNS_PER_BEAM),
-            rows=min(math.ceil(stage.sampling.rows / rows), MAX_ROWS),
-        )
-        # halved ones may be for this ping alone, or for a first look at it
-        if stage.sampling.rows < self._rows:
-            self._own_stages.drop_large()
-            self._image_stages.drop_large()
-        self._rows = stage.sampling.rows
-        own, image = self._own_stages.stage(sampling), self._image_stages.stage(sampling)
-        must_draw = self._has_lobes or any(view.bubbles is not None for view in views)
-        # of fewer rows than all, the outermost that is left of a window might meet a surface
-        if must_draw or not is_drawn_alike:
-            drawn = own.draw([poses[n] for n in numbers], [states[n] for n in numbers], keep_last=True)
-            own_views = [view.sectors for view in drawn]
-        else:  # the direct views will do
-            own_views = [[every_row(one, rows) for one in views[n].sectors] for n in numbers]
-        drawing, step = (self._image_stages.stage(stage.sampling), rows) if is_drawn_alike else (image, 1)
+        thinning, numbers = THINNINGS[halvings], sorted({one.number for one in found})
+        own, image = self._stages_for(stage, thinning)
+        of_pings = [views[n] for n in numbers], [poses[n] for n in numbers], [states[n] for n in numbers]
+        own_views = self._own_views(own, thinning, *of_pings)
+        drawing = self._image_stages.stage(stage.sampling) if thinning.is_drawn_alike else image
         image_views = drawing.draw(
             [poses[one.number] @ one.pose.sonar_from_image for one in found],
             [states[one.number] for one in found],
@@ -261,7 +245,7 @@ class ImageSources:
             planes=[one.pose.clip_plane for one in found],
             keep_last=True,
         )
-        times_fewer = 1 if is_drawn_alike else thinning.times_fewer
+        step, times_fewer = (thinning.rows, 1) if thinning.is_drawn_alike else (1, thinning.times_fewer)
         counted = [(drawing, view, gains[one.number]) for one, view in zip(found, image_views, strict=True)]
         if coarser is None:
             counted += [(stage, views[number], gains[number]) for number in numbers]
@@ -295,6 +279,35 @@ class ImageSources:
                 ),
             )
         return out
+
+    def _stages_for(self, stage: Stage, thinning: Thinning) -> tuple[Stage, Stage]:
+        """Return the stages that sum the samples of the sonar and of its images beside direct views of `stage`."""
+        sampling = replace(
+            stage.sampling,
+            columns_per_beam=min(stage.sampling.columns_per_beam / thinning.columns, MAX_COLUMNS_PER_BEAM),
+            rows=min(math.ceil(stage.sampling.rows / thinning.rows), MAX_ROWS),
+        )
+        # halved ones may be for this ping alone, or for a first look at it
+        if stage.sampling.rows < self._rows:
+            self._own_stages.drop_large()
+            self._image_stages.drop_large()
+        self._rows = stage.sampling.rows
+        return self._own_stages.stage(sampling), self._image_stages.stage(sampling)
+
+    def _own_views(
+        self,
+        own: Stage,
+        thinning: Thinning,
+        views: Sequence[ViewSamples],
+        poses,
+        states: Sequence[SceneState],
+    ) -> list[Sequence[SectorSamples]]:
+        """Return the sonar's own samples of pings: rows of their direct views, or others where these do not serve."""
+        must_draw = self._has_lobes or any(view.bubbles is not None for view in views)
+        # of fewer rows than all, the outermost that is left of a window might meet a surface
+        if must_draw or not thinning.is_drawn_alike:
+            return [view.sectors for view in own.draw(poses, states, keep_last=True)]
+        return [[every_row(one, thinning.rows) for one in view.sectors] for view in views]
 
     def _count_bodies(self, views: Sequence[tuple[Stage, ViewSamples, np.ndarray]]) -> list[BodyCounts]:
         """Count the samples on each body, by every so-manieth row where there are many.
