@@ -10,7 +10,6 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import ArrayPattern
-from sonar_gl.beamform import beamformer
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
@@ -151,9 +150,9 @@ def test_few_nodes_give_the_means_of_columns_to_the_last_bit_of_float32(name, mo
         return workspace.weights(edges, None)[0].weights.astype(float)
 
     found = weights()
-    monkeypatch.setattr(beamformer, "GAUSS_NODES", ((math.inf, 24),))
+    monkeypatch.setattr("sonar_gl.beamform.weights.GAUSS_NODES", ((math.inf, 24),))
     exact = weights()
-    monkeypatch.setattr(beamformer, "GAUSS_NODES", ((math.inf, 2),))
+    monkeypatch.setattr("sonar_gl.beamform.weights.GAUSS_NODES", ((math.inf, 2),))
     too_few = weights()
     last_bit = np.finfo(np.float32).eps * exact.max()
     # where the support ends the pattern does in a step, which no rule resolves
