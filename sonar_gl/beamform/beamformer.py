@@ -254,7 +254,7 @@ class Beamformer:
         # spans first: what lies outside of them is never cleared, should an interrupt come between
         columns.spans[:] = 0, columns.sums.shape[1]
         columns.sums[:] = self._weights.columns_sr[:, None]
-        response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
+        response = self.weigh(columns, NO_GAIN).intensity[:, 0].astype(np.float64)
         columns.sums[:] = 0
         columns.spans[:] = columns.sums.shape[1], 0
         return response
@@ -273,6 +273,7 @@ class Beamformer:
         return weights + sum(a.nbytes for half in self.strips for strips in half for a in strips[:-1])
 
     def _column_sums(self, n_wide_columns: int = 0) -> ColumnSums:
+        """Return the room for sums, one for all: it holds what was summed last."""
         fan = self.fan
         n_wide_columns = max(n_wide_columns, fan.n_wide_columns)
         return self._workspace.column_sums(fan.n_columns, fan.sonar.n_bins, n_wide_columns)
@@ -300,11 +301,10 @@ class Beamformer:
         self, samples: Sequence[SectorSamples], gain=NO_GAIN, body_spans: np.ndarray = NO_SPANS
     ) -> BeamEcho:
         """Return the echo of surfaces, times the (K,) float32 gain; body_spans : of `ViewSamples`."""
-        self._sum_footprints(samples, body_spans)
-        return self.weigh(gain)
+        return self.weigh(self._sum_footprints(samples, body_spans), gain)
 
-    def _sum_footprints(self, samples: Sequence[SectorSamples], body_spans: np.ndarray) -> None:
-        """Sum surfaces into columns."""
+    def _sum_footprints(self, samples: Sequence[SectorSamples], body_spans: np.ndarray) -> ColumnSums:
+        """Return the sums of surfaces in columns."""
         of_sectors = [
             (
                 *(whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id)),
@@ -331,6 +331,7 @@ class Beamformer:
 
         self._run(work, self._rows(samples) < FEW_ROWS)
         self.share_wide_columns(columns)
+        return columns
 
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
@@ -339,7 +340,7 @@ class Beamformer:
             points = _shown_points(points)
         arrays = self.elevation_table, self.fan.max_sine, not self.is_box, columns.sums, columns.spans
         kernels.sum_points(points, edges_rad, edges_m, *arrays)
-        return self.weigh(gain)
+        return self.weigh(columns, gain)
 
     def sum_image_sources(
         self,
@@ -390,7 +391,7 @@ class Beamformer:
         if is_seen.any():
             self._run(add_own)
             self.share_wide_columns(columns)
-        return self.weigh(gain)
+        return self.weigh(columns, gain)
 
     def sum_bodies(self, view: ViewSamples, gain) -> tuple[BeamEcho, BodySums]:
         """Return what `sum_view` returns, to the bit, and the sums of each body for `find_labels`.
@@ -402,7 +403,7 @@ class Beamformer:
         run, clear = partial(self._run, serial=is_little), partial(self.clear_columns, columns=columns)
         runs = self._labeller.sum_up(view, self.strips, run, columns, clear)
         self.share_wide_columns(columns)
-        echo = self._with_bubbles(self.weigh(gain), view, gain)
+        echo = self._with_bubbles(self.weigh(columns, gain), view, gain)
         return echo, BodySums(runs, bins_of_bodies(view.body_spans, self._bins[0]), is_little)
 
     def find_labels(
@@ -419,8 +420,9 @@ class Beamformer:
         mask, unshadowed = None, None
         if background is not None:
             mask, view = background
-            self._sum_footprints(view.sectors, view.body_spans)
-            unshadowed, _ = self._weigh_support(self._tiles, NO_GAIN)  # labels know no far side lobes
+            columns = self._sum_footprints(view.sectors, view.body_spans)
+            # labels know no far side lobes
+            unshadowed, _ = self._weigh_support(columns, self._tiles, NO_GAIN)
         run = partial(self._run, serial=bodies.is_little)
         return self._labeller.find(bodies.runs, run, gain, n_bodies, bodies.body_bins, mask, unshadowed)
 
@@ -440,16 +442,16 @@ class Beamformer:
             n_rows += len(sector.strips.middle) / sector.columns * columns * rows
         return n_rows
 
-    def weigh(self, gain) -> BeamEcho:
+    def weigh(self, columns: ColumnSums, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
         if self._far is None:
-            return BeamEcho(*self._weigh_support(self._tiles, gain))
-        out, _ = self._weigh_support(tuple(self._far.near), gain)
-        return BeamEcho(out, self._add_far_lobes(out, gain))
+            return BeamEcho(*self._weigh_support(columns, self._tiles, gain))
+        out, _ = self._weigh_support(columns, tuple(self._far.near), gain)
+        return BeamEcho(out, self._add_far_lobes(columns, out, gain))
 
-    def _weigh_support(self, tiles: tuple, gain) -> tuple[np.ndarray, float]:
+    def _weigh_support(self, columns: ColumnSums, tiles: tuple, gain) -> tuple[np.ndarray, float]:
         """Return (B, K) beams as weighted sums of the columns in the support of their patterns, and their sum."""
-        out, totals, columns = self._pool.empty(), [0.0, 0.0], self._column_sums()
+        out, totals = self._pool.empty(), [0.0, 0.0]
 
         def work(half):
             totals[half] = kernels.weigh_columns(
@@ -460,9 +462,9 @@ class Beamformer:
         self._run(work, tiles[1].size * bins < FEW_PRODUCTS)
         return out, sum(totals)
 
-    def _add_far_lobes(self, out: np.ndarray, gain) -> float:
+    def _add_far_lobes(self, columns: ColumnSums, out: np.ndarray, gain) -> float:
         """Add to beams what they receive by far side lobes; return the sum of all."""
-        far, columns, totals = self._far, self._column_sums(), [0.0, 0.0]
+        far, totals = self._far, [0.0, 0.0]
         used = columns.spans[columns.spans[:, 0] < columns.spans[:, 1]]
         if not len(used):
             return 0.0

@@ -46,7 +46,7 @@ def fan_and_weights(sonar, acoustics, columns_per_beam=1) -> tuple[Fan, np.ndarr
         columns.sums[:], columns.spans[:] = 0, (n_bins, 0)
         columns.sums[begin + k, k] = 1
         columns.spans[begin + k] = np.column_stack([k, k + 1])
-        out[:, begin + k] = former.weigh(np.empty(0, np.float32)).intensity[:, k]
+        out[:, begin + k] = former.weigh(columns, np.empty(0, np.float32)).intensity[:, k]
     return fan, out
 
 
