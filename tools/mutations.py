@@ -968,7 +968,7 @@ MUTATIONS = (
     ),
     Mutation(
         "volume/transmit beam",
-        "self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)",
+        "self.weigh(columns, NO_GAIN).intensity[:, 0].astype(np.float64)",
         "np.ones(len(self._tiles[0]) * 4)",
         VOLUME,
     ),

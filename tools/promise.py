@@ -22,7 +22,9 @@ import argparse
 import contextlib
 import sys
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,142 +42,149 @@ MOST_SAMPLES = 3_500_000  # of the truth of a pool
 MOST_RAYS = 60_000_000  # of a truth; more would change the verdict on the smallest bodies only
 
 
+class Errors(NamedTuple):
+    """Errors of a ping as shares: of its echo, and of the echo of the body that is worst off."""
+
+    echo: float
+    worst_body: float
+
+    def are_within(self, tolerance: float) -> bool:
+        """Whether the errors are within what the tolerance promises."""
+        return self.echo <= tolerance and self.worst_body <= WORST_BODY * tolerance
+
+
+class Cost(NamedTuple):
+    """Sampling level and time of a ping, and those of another one that it is compared with."""
+
+    level: int
+    ms: float
+    other_level: int
+    other_ms: float
+
+
 @dataclass(frozen=True)
 class Outcome:
-    """One world at one tolerance; errors as shares, times in ms, estimates of the plan.
+    """One world at one tolerance.
 
-    Of a ping alone, the estimates are its own, and in place of the cheapest level is that of a plan.
+    Attributes
+    ----------
+    met : the ping claims that the promise is kept
+    error_estimate : that of the ping, or of its plan
+    errors : against the truth
+    doubt : how far off the truth may be
+    cost : None if it is not known
     """
 
     seed: int
     tolerance: float
     met: bool
-    error: float
     error_estimate: float
-    worst_body: float
-    worst_body_estimate: float
-    level: int
-    cheapest_level: int | None
-    ms: float
-    cheapest_ms: float
-    doubt: float
-    body_doubt: float
+    errors: Errors
+    doubt: Errors
+    cost: Cost | None = None
 
     @property
     def kept(self) -> bool:
         """Whether the promise is kept."""
-        return kept(self.error, self.worst_body, self.tolerance)
+        return self.errors.are_within(self.tolerance)
 
     @property
     def is_open(self) -> bool:
-        """Whether it is not kept by so little that the truth, `doubt` and `body_doubt` off, may be what errs."""
-        return not self.kept and kept(
-            self.error - self.doubt, self.worst_body - self.body_doubt, self.tolerance
+        """Whether it is not kept by so little that the truth may be what errs."""
+        least = Errors(*(error - doubt for error, doubt in zip(self.errors, self.doubt, strict=True)))
+        return not self.kept and least.are_within(self.tolerance)
+
+
+class World:
+    """A random world and the truth about a ping in it.
+
+    Attributes
+    ----------
+    seed, sonar, pose
+    truth : Ping of the reference
+    doubt : Errors, how far off the truth may be: its halves differ by twice that
+    """
+
+    def __init__(self, seed: int, truth_error: float = TRUTH_ERROR):
+        self.seed, (self._scene, self.sonar, self.pose) = seed, random_world(seed)
+        self._acoustics = sg.Acoustics.physical() if seed % 2 else sg.Acoustics.ideal()
+        what = self._scene, self.sonar, self.pose, self._acoustics
+        self.truth = sg.reference_ping(*what, truth_error, MOST_RAYS)
+        self.doubt = Errors(self.truth.meta["difference"] / 2, self.truth.meta["body_difference"] / 2)
+        self._errors_at = {}
+
+    def simulator(self, **samples) -> sg.Simulator:
+        """Return a simulator of the world; samples : `tolerance` or `sampling` of it."""
+        return sg.Simulator(self._scene, self.sonar, self._acoustics, **samples)
+
+    def errors(self, ping: sg.Ping) -> Errors:
+        """Return the errors of a ping with labels."""
+        return Errors(ping_error(ping, self.truth), worst_body(ping, self.truth)[0])
+
+    def errors_at(self, level: int) -> Errors:
+        """Return the errors of a ping at a sampling level."""
+        if level not in self._errors_at:
+            with self.simulator(sampling=sampling_at(self.sonar, level)) as simulator:
+                self._errors_at[level] = self.errors(simulator.ping(self.pose, labels=True))
+        return self._errors_at[level]
+
+
+def median_ms(*makers: Callable[[], sg.Ping]) -> list[float]:
+    """Return the time of each of several pings, made in turns."""
+    times = harness.take_turns(
+        {number: lambda _, make=make: make() for number, make in enumerate(makers)}, ROUNDS, warm_up=1
+    )
+    return [float(np.median(one)) for one in times.values()]
+
+
+@contextlib.contextmanager
+def planned(world: World, tolerance: float):
+    """Yield a simulator whose samples are those of a plan for the world's pose, and the plan."""
+    with world.simulator(tolerance=tolerance) as simulator:
+        simulator.ping(world.pose)
+        yield simulator, simulator.plan([world.pose])
+
+
+def try_plan(world: World, tolerance: float) -> Outcome:
+    """Return the outcome of a planned ping, without its cost."""
+    with planned(world, tolerance) as (simulator, plan):
+        errors = world.errors(simulator.ping(world.pose, labels=True))
+    return Outcome(world.seed, tolerance, plan.met, plan.error_estimate, errors, world.doubt)
+
+
+def try_plan_and_cost(world: World, tolerance: float) -> Outcome:
+    """Return what `try_plan` does, with the cost beside that of the coarsest level that would keep the promise."""
+    outcome = try_plan(world, tolerance)
+    with planned(world, tolerance) as (simulator, plan):
+        enough = (level for level in range(plan.level + 1) if world.errors_at(level).are_within(tolerance))
+        if (cheapest := next(enough, None)) is None:
+            return outcome
+        with world.simulator(sampling=sampling_at(world.sonar, cheapest)) as other:
+            own_ms, other_ms = median_ms(lambda: simulator.ping(world.pose), lambda: other.ping(world.pose))
+    return replace(outcome, cost=Cost(plan.level, own_ms, cheapest, other_ms))
+
+
+def try_alone(world: World, tolerance: float) -> Outcome:
+    """Return the outcome of a ping that chooses its samples alone, whose cost is beside that of a planned one."""
+    with world.simulator(tolerance=tolerance) as alone, world.simulator(tolerance=tolerance) as planned:
+        plan = planned.plan([world.pose])
+        ping = internals.ping_alone(alone, world.pose, labels=True)
+        own_ms, other_ms = median_ms(
+            lambda: internals.ping_alone(alone, world.pose), lambda: planned.ping(world.pose)
         )
+    level = level_of(world.sonar, sg.Sampling(**ping.meta["sampling"]).count(world.sonar))
+    cost = Cost(level, own_ms, plan.level, other_ms)
+    estimate = ping.error_estimate
+    return Outcome(
+        world.seed, tolerance, estimate <= tolerance, estimate, world.errors(ping), world.doubt, cost
+    )
 
 
-def kept(error: float, body_error: float, tolerance: float) -> bool:
-    """Return whether errors are within what the tolerance promises."""
-    return error <= tolerance and body_error <= WORST_BODY * tolerance
-
-
-def doubts(truth: sg.Ping) -> tuple[float, float]:
-    """Return how far off a truth may be, as a share of its echo, and of a body's: its halves differ by twice that."""
-    return truth.meta["difference"] / 2, truth.meta["body_difference"] / 2
-
-
-def profile_of(seed: int) -> sg.Acoustics:
-    """Return the acoustics of a world: the two profiles in turn."""
-    return sg.Acoustics.physical() if seed % 2 else sg.Acoustics.ideal()
-
-
-def try_alone(seed: int) -> list[Outcome]:
-    """Return the Outcomes of one world whose ping chooses its samples alone; none if it returns no echo."""
-    scene, sonar, pose = random_world(seed)
-    acoustics, out = profile_of(seed), []
-    truth = sg.reference_ping(scene, sonar, pose, acoustics, TRUTH_ERROR, MOST_RAYS)
-    for tolerance in TOLERANCES if truth.intensity.any() else ():
-        with (
-            sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as alone,
-            sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as planned,
-        ):
-            plan = planned.plan([pose])
-            ping = internals.ping_alone(alone, pose, labels=True)
-            pings = {
-                "alone": lambda _, simulator=alone: internals.ping_alone(simulator, pose),
-                "planned": lambda _, simulator=planned: simulator.ping(pose),
-            }
-            times = harness.take_turns(pings, ROUNDS, warm_up=1)
-            samples = sg.Sampling(**ping.meta["sampling"]).count(sonar)
-        out.append(
-            Outcome(
-                seed,
-                tolerance,
-                ping.error_estimate <= tolerance,
-                ping_error(ping, truth),
-                ping.error_estimate,
-                worst_body(ping, truth)[0],
-                np.nan,
-                level_of(sonar, samples),
-                plan.level,
-                float(np.median(times["alone"])),
-                float(np.median(times["planned"])),
-                *doubts(truth),
-            )
-        )
-    return out
-
-
-def try_world(seed: int, tolerances=TOLERANCES, truth_error: float = TRUTH_ERROR, costs: bool = True):
-    """Return the Outcomes of one world; none if it returns no echo."""
-    scene, sonar, pose = random_world(seed)
-    acoustics = profile_of(seed)
-    truth = sg.reference_ping(scene, sonar, pose, acoustics, truth_error, MOST_RAYS)
-    if not truth.intensity.any():
-        return []
-    judged = {}
-
-    def judge(simulator):
-        ping = simulator.ping(pose, labels=True)
-        return ping_error(ping, truth), worst_body(ping, truth)[0]
-
-    out = []
-    for tolerance in tolerances:
-        with sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as simulator:
-            simulator.ping(pose)
-            plan = simulator.plan([pose])
-            error, body_error = judge(simulator)
-            cheapest, ms, cheapest_ms = None, np.nan, np.nan
-            for level in range(plan.level + 1) if costs else ():
-                if level not in judged:
-                    with sg.Simulator(scene, sonar, acoustics, sampling_at(sonar, level)) as other:
-                        judged[level] = judge(other)
-                if kept(*judged[level], tolerance):
-                    cheapest = level
-                    break
-            if cheapest is not None:
-                with sg.Simulator(scene, sonar, acoustics, sampling_at(sonar, cheapest)) as other:
-                    both = {"own": simulator, "cheapest": other}
-                    pings = {name: (lambda _, it=it: it.ping(pose)) for name, it in both.items()}
-                    times = harness.take_turns(pings, ROUNDS, warm_up=1)
-                ms, cheapest_ms = np.median(times["own"]), np.median(times["cheapest"])
-        out.append(
-            Outcome(
-                seed,
-                tolerance,
-                plan.met,
-                error,
-                plan.error_estimate,
-                body_error,
-                plan.worst_body_estimate,
-                plan.level,
-                cheapest,
-                float(ms),
-                float(cheapest_ms),
-                *doubts(truth),
-            )
-        )
-    return out
+def try_tolerances(
+    world: World, try_ping: Callable[[World, float], Outcome], tolerances=TOLERANCES
+) -> list[Outcome]:
+    """Return the outcomes of one world; none if it returns no echo."""
+    return [try_ping(world, tolerance) for tolerance in tolerances] if world.truth.intensity.any() else []
 
 
 @dataclass(frozen=True)
@@ -237,12 +246,12 @@ def report(outcomes):
     for tolerance in sorted({o.tolerance for o in outcomes}, reverse=True):
         mine = [o for o in outcomes if o.tolerance == tolerance]
         met = [o for o in mine if o.met]
-        known = [o for o in mine if o.cheapest_level is not None]
-        time = np.median([o.ms / o.cheapest_ms for o in known])
-        samples = np.median([2.0 ** ((o.level - o.cheapest_level) / 2) for o in known])
-        estimate = np.median([o.error_estimate / o.error for o in mine])
+        costs = [o.cost for o in mine if o.cost is not None]
+        time = np.median([cost.ms / cost.other_ms for cost in costs])
+        samples = np.median([2.0 ** ((cost.level - cost.other_level) / 2) for cost in costs])
+        estimate = np.median([o.error_estimate / o.errors.echo for o in mine])
         broken = [
-            (o.seed, round(max(o.error / tolerance, o.worst_body / tolerance / 5), 2))
+            (o.seed, round(max(o.errors.echo / tolerance, o.errors.worst_body / tolerance / WORST_BODY), 2))
             for o in mine
             if not (o.kept or o.is_open)
         ]
@@ -273,12 +282,12 @@ def main():
     options = parser.parse_args()
     if options.pools and options.alone:
         parser.error("--alone is of worlds, not of --pools")
-    try_one = try_pool if options.pools else try_alone if options.alone else try_world
+    try_ping = try_alone if options.alone else try_plan_and_cost
     outcomes, seed, first = [], options.first, options.first
     with warnings.catch_warnings(), contextlib.suppress(KeyboardInterrupt):  # Ctrl-C prints the table so far
         warnings.simplefilter("ignore", UserWarning)
         while len({o.seed for o in outcomes}) < (options.pools or options.worlds):
-            outcomes += try_one(seed)
+            outcomes += try_pool(seed) if options.pools else try_tolerances(World(seed), try_ping)
             seed += 1
             if sys.stderr.isatty():
                 print(f"\r{seed - first} worlds", end="", file=sys.stderr)
@@ -286,7 +295,7 @@ def main():
         print(f"seeds {first} to {seed - 1}, on {simulator.gl_info['renderer']}")
     report_pools(outcomes) if options.pools else report(outcomes)
     if options.alone:
-        total, of_plans = (sum(getattr(o, name) for o in outcomes) for name in ("ms", "cheapest_ms"))
+        total, of_plans = (sum(getattr(o.cost, name) for o in outcomes) for name in ("ms", "other_ms"))
         print(f"all pings alone over all planned pings: {total / of_plans:.2f} times the time")
 
 

@@ -43,6 +43,7 @@ MAX_RAYS = 400_000_000
 FIRST_RAYS = 2**19  # of each half, before the halves are compared for the first time
 BATCH = 2**13  # rays at once: they and their hits fit the processor's cache
 NODES_PER_WIDTH = 64  # linear interpolation of a smooth pattern is then off by 2e-4 of its peak at most
+PLACES = 1024  # at which the pattern in elevation is evaluated, where its main lobe is not low
 WIDEST_DEG = 16.0  # limits the distance of nodes for wide beams, whose patterns end in a step
 
 
@@ -299,69 +300,108 @@ class _Fan:
         return self.aperture.span_rad * 2 * self.aperture.max_sine
 
 
-def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
-    """Return the fan, with the beam patterns evaluated at its nodes."""
-    axes, pattern = sonar.azimuth_rad, acoustics.receive_pattern(sonar)
-    support_rad = acoustics.receive_support_rad(sonar)
+@dataclass(frozen=True, eq=False)
+class _Receiver:
+    """In which directions B beams receive, and how much.
+
+    Attributes
+    ----------
+    axes_rad : (B,) azimuths of the beams
+    pattern : function (azimuth_rad, steer_rad) -> receive power pattern; None for boxes
+    support_rad : how far from its axis a beam receives
+    all_lobes : beams receive from further away, too: all between start_rad and stop_rad
+    start_rad, stop_rad : azimuths between which any beam receives
+    """
+
+    axes_rad: np.ndarray
+    pattern: Callable | None
+    support_rad: float
+    all_lobes: bool
+    start_rad: float
+    stop_rad: float
+
+    def node_azimuths(self, beam_width_deg: float) -> np.ndarray:
+        """Return the azimuths at which echoes are summed, (N,) rising from `start_rad` to `stop_rad`."""
+        start, stop = self.start_rad, self.stop_rad
+        if self.pattern is None:  # no box beam begins or ends between two nodes
+            ends = _wrap(
+                np.concatenate([self.axes_rad - self.support_rad, self.axes_rad + self.support_rad]), start
+            )
+            return np.unique(np.clip(np.append(ends, [start, stop]), start, stop))
+        step = np.radians(min(beam_width_deg, WIDEST_DEG)) / NODES_PER_WIDTH
+        return np.linspace(start, stop, int(np.ceil((stop - start) / step)) + 1)
+
+    def mean_pattern(self, node_azimuths: np.ndarray) -> np.ndarray | float:
+        """Return the integral of the pattern of each beam over azimuth, over the width of its support, (B,)."""
+        if self.pattern is None:
+            return 1.0
+        steer = self.axes_rad[:, None]
+        if not self.all_lobes:
+            return self.pattern(steer + self.support_rad * _middles(1024), steer).mean(axis=1)
+        # of all azimuths from which rays come, by the trapezoidal rule
+        parts = np.diff(node_azimuths, prepend=self.start_rad, append=self.stop_rad)
+        power = self.pattern(node_azimuths, steer) @ ((parts[:-1] + parts[1:]) / 2)
+        return power / (2 * self.support_rad)
+
+    def block(
+        self, node_azimuths: np.ndarray, beam_sr: np.ndarray, low_rad: float, high_rad: float
+    ) -> _Block:
+        """Return the block of the rays between two azimuths; beam_sr : (B,) solid angle of each beam."""
+        first = max(np.searchsorted(node_azimuths, low_rad, side="right") - 1, 0)
+        last = min(np.searchsorted(node_azimuths, high_rad, side="left") + 1, len(node_azimuths))
+        nodes = places = node_azimuths[first:last]
+        if self.pattern is None:  # a node stands for the interval up to the next one
+            places = np.append(nodes[:-1] + nodes[1:], 2 * nodes[-1]) / 2
+        offset = _wrap(places - self.axes_rad[:, None], -np.pi)
+        weights = (self.all_lobes | (np.abs(offset) <= self.support_rad * (1 + 1e-9))).astype(float)
+        beams = np.flatnonzero(weights.any(axis=1))
+        weights, offset, steer = weights[beams], offset[beams], self.axes_rad[beams, None]
+        if self.pattern is not None:
+            weights *= self.pattern(steer + offset, steer)
+        weights /= beam_sr[beams, None]
+        return _Block(Nodes(nodes, self.pattern is not None, weights.sum(axis=0)), beams, weights)
+
+
+def _make_receiver(sonar: Sonar, acoustics: Acoustics) -> _Receiver:
+    """Return how the beams of a sonar receive."""
+    axes, support_rad = sonar.azimuth_rad, acoustics.receive_support_rad(sonar)
     # a support of 90 degrees is all that is in front of an array, of a beam that is not steered
     is_all = support_rad >= np.pi / 2 and sonar.steered == "alike"
     all_lobes = acoustics.far_pattern(sonar) is not None and not is_all
     start, stop = axes[0] - support_rad, axes[-1] + support_rad
     if stop - start >= 2 * np.pi:
         start, stop = -np.pi, np.pi
-    are_cones = acoustics.has_cones(sonar)
-    if are_cones:
+    if acoustics.has_cones(sonar):
         start, stop = max(start, -MAX_CONE_RAD), min(stop, MAX_CONE_RAD)
-    span = stop - start
-    true_range_sonar = acoustics.true_range_sonar(sonar)
-    max_sine = np.sin(np.radians(acoustics.max_elevation_deg(sonar)))
-    if pattern is None:  # no box beam begins or ends between two nodes
-        ends = _wrap(np.concatenate([axes - support_rad, axes + support_rad]), start)
-        node_azimuths = np.unique(np.clip(np.append(ends, [start, stop]), start, stop))
-        mean_pattern = 1.0
-    else:
-        step = np.radians(min(sonar.beam_width_deg, WIDEST_DEG)) / NODES_PER_WIDTH
-        node_azimuths = np.linspace(start, stop, int(np.ceil(span / step)) + 1)
-        mean_pattern = pattern(axes[:, None] + support_rad * _middles(1024), axes[:, None]).mean(axis=1)
-        if all_lobes:  # of all azimuths from which rays come, by the trapezoidal rule
-            parts = np.diff(node_azimuths, prepend=start, append=stop)
-            power = pattern(node_azimuths, axes[:, None]) @ ((parts[:-1] + parts[1:]) / 2)
-            mean_pattern = power / (2 * support_rad)
-    height, elevation = 2 * max_sine, acoustics.two_way_elevation_pattern(sonar)
+    return _Receiver(axes, acoustics.receive_pattern(sonar), support_rad, all_lobes, start, stop)
+
+
+def _make_fan(sonar: Sonar, acoustics: Acoustics) -> _Fan:
+    """Return the fan, with the beam patterns evaluated at its nodes."""
+    receiver, true_range_sonar = _make_receiver(sonar, acoustics), acoustics.true_range_sonar(sonar)
+    start, stop = receiver.start_rad, receiver.stop_rad
+    aperture = Aperture(
+        start_rad=start,
+        span_rad=stop - start,
+        max_sine=np.sin(np.radians(acoustics.max_elevation_deg(sonar))),
+        are_cones=acoustics.has_cones(sonar),
+        max_tan=np.tan(MAX_AZIMUTH_RAD),
+    )
+    elevation = acoustics.two_way_elevation_pattern(sonar)
     # places within the pattern in elevation: more where its main lobe is a small part of all that is received
-    n_places = 1024 * int(np.ceil(1 / min(true_range_sonar.elevation_fov_deg, 1.0)))
-    if elevation is not None:
-        height *= elevation(max_sine * _middles(n_places)).mean()
-    beam_sr = np.broadcast_to(mean_pattern * 2 * support_rad * height, len(axes))
-    if are_cones:
-        beam_sr = _solid_angles(
-            node_azimuths, pattern, axes, support_rad * (not all_lobes), max_sine, elevation, n_places
-        )
-
-    def make_block(low_rad: float, high_rad: float) -> _Block:
-        first = max(np.searchsorted(node_azimuths, low_rad, side="right") - 1, 0)
-        last = min(np.searchsorted(node_azimuths, high_rad, side="left") + 1, len(node_azimuths))
-        nodes = places = node_azimuths[first:last]
-        if pattern is None:  # a node stands for the interval up to the next one
-            places = np.append(nodes[:-1] + nodes[1:], 2 * nodes[-1]) / 2
-        offset = _wrap(places - axes[:, None], -np.pi)
-        weights = (all_lobes | (np.abs(offset) <= support_rad * (1 + 1e-9))).astype(float)
-        beams = np.flatnonzero(weights.any(axis=1))
-        weights, offset = weights[beams], offset[beams]
-        if pattern is not None:
-            weights *= pattern(axes[beams, None] + offset, axes[beams, None])
-        weights /= beam_sr[beams, None]
-        return _Block(Nodes(nodes, pattern is not None, weights.sum(axis=0)), beams, weights)
-
-    log2_blocks = int(np.clip(np.ceil(np.log2(len(node_azimuths) / 8)), 3, 10))
+    n_places = PLACES * int(np.ceil(1 / min(true_range_sonar.elevation_fov_deg, 1.0)))
+    nodes = receiver.node_azimuths(sonar.beam_width_deg)
+    beam_sr = _solid_angles(receiver, nodes, aperture, elevation, n_places)
+    log2_blocks = int(np.clip(np.ceil(np.log2(len(nodes) / 8)), 3, 10))
+    ends = np.linspace(start, stop, 2**log2_blocks + 1)
     return _Fan(
-        aperture=Aperture(start, span, max_sine, are_cones, np.tan(MAX_AZIMUTH_RAD)),
+        aperture=aperture,
         bins=Bins(
             true_range_sonar.range_min_m,
             1 / true_range_sonar.bin_size_m,
             acoustics.range_gain(sonar.range_m, sonar),
         ),
-        blocks=tuple(make_block(*ends) for ends in pairwise(np.linspace(start, stop, 2**log2_blocks + 1))),
+        blocks=tuple(receiver.block(nodes, beam_sr, *each) for each in pairwise(ends)),
         log2_blocks=log2_blocks,
         n_beams=sonar.n_beams,
         transmit=acoustics.transmit_pattern(sonar),
@@ -375,31 +415,48 @@ def _middles(n: int) -> np.ndarray:
 
 
 def _solid_angles(
-    shown_rad, pattern, axes_rad, support_rad, max_sine, elevation, n_places: int
+    receiver: _Receiver, node_azimuths: np.ndarray, aperture: Aperture, elevation, n_places: int
+) -> np.ndarray:
+    """Return the solid angle of each beam over its patterns, (B,).
+
+    Parameters
+    ----------
+    elevation : of `_Fan`
+    n_places : within the pattern in elevation
+    """
+    if aperture.are_cones:
+        return _solid_angles_of_cones(receiver, node_azimuths, aperture, elevation, n_places)
+    height = 2 * aperture.max_sine
+    if elevation is not None:
+        height *= elevation(aperture.max_sine * _middles(n_places)).mean()
+    mean_pattern = receiver.mean_pattern(node_azimuths)
+    return np.broadcast_to(mean_pattern * 2 * receiver.support_rad * height, len(receiver.axes_rad))
+
+
+def _solid_angles_of_cones(
+    receiver: _Receiver, shown_rad: np.ndarray, aperture: Aperture, elevation, n_places: int
 ) -> np.ndarray:
     """Return the solid angle of each beam that receives along cones, over its patterns, (B,).
 
     Parameters
     ----------
     shown_rad : (N,) azimuths at which cones are shown, rising
-    support_rad : of the receive pattern; 0 = without end
-    elevation : of `_Fan`
-    n_places : around a cone
+    elevation, n_places : as of `_solid_angles`, around a cone
     """
-    above = np.arcsin(np.minimum(max_sine / np.cos(shown_rad), 1))
-    ends = np.minimum(above, np.arccos(np.abs(np.tan(shown_rad)) / np.tan(MAX_AZIMUTH_RAD)))
+    above = np.arcsin(np.minimum(aperture.max_sine / np.cos(shown_rad), 1))
+    ends = np.minimum(above, np.arccos(np.abs(np.tan(shown_rad)) / aperture.max_tan))
     power = 1.0
     if elevation is not None:
-        parts = np.array_split(np.arange(len(ends)), n_places // 1024)  # in the memory of 1024 places
+        parts = np.array_split(np.arange(len(ends)), n_places // PLACES)  # in the memory of PLACES
         sines = (
             np.cos(shown_rad[part])[:, None] * np.sin(ends[part][:, None] * _middles(n_places))
             for part in parts
         )
         power = np.concatenate([elevation(one).mean(axis=1) for one in sines])
-    per_rad = 2 * ends * np.cos(shown_rad) * power
-    received = pattern(shown_rad, axes_rad[:, None]) * per_rad
-    if support_rad:
-        received = np.where(np.abs(shown_rad - axes_rad[:, None]) <= support_rad, received, 0)
+    per_rad, steer = 2 * ends * np.cos(shown_rad) * power, receiver.axes_rad[:, None]
+    received = receiver.pattern(shown_rad, steer) * per_rad
+    if not receiver.all_lobes:
+        received = np.where(np.abs(shown_rad - steer) <= receiver.support_rad, received, 0)
     parts = np.diff(shown_rad, prepend=shown_rad[0], append=shown_rad[-1])
     return received @ ((parts[:-1] + parts[1:]) / 2)
 

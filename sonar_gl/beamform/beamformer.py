@@ -14,13 +14,14 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform import kernels
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.labels import Labeller, Labels, bins_of_bodies
-from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace, blocks_of
+from sonar_gl.beamform.weights import BeamWeights, beam_weights, elevations_of, gauss_nodes
+from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
-from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, cone_end_rad
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector
 from sonar_gl.sonar.sonar import Sonar
 
 # Handing half of the work to the second thread takes as long as so many rows of strips, or products of a
@@ -28,18 +29,6 @@ from sonar_gl.sonar.sonar import Sonar
 FEW_ROWS, FEW_LABEL_ROWS, FEW_PRODUCTS = 10_000, 5_000, 5_000_000
 NO_GAIN = np.empty(0, np.float32)
 HALF_POWER_TWO_WAY = 0.25
-# Entries of the table of the elevation pattern, which is interpolated linearly: off by 1e-5 of the peak at most
-# where the aperture is 4 degrees or more.
-ELEVATIONS = 8193
-# Cones, and places around each, at which the elevation pattern is integrated.
-CONES, AROUND = 129, 1024
-# Where the main lobe in elevation is lower than this, the table and the places around cones are finer in proportion.
-LOW_LOBE_DEG = 1.0
-# Nodes of Gauss' rule for the mean of a beam pattern over a column, by the column's width in `Acoustics.null_rad`: it
-# errs by 4e-8 of the peak, less than weights in float32. For the mean of e^{2πix} over w it is
-# (πw)^2n 2^2n n!^4 / ((2n + 1) (2n)!^3). Columns of few wide beams may be wider than 1.4, for which 8 do.
-# Source: Davis, Rabinowitz, Methods of Numerical Integration, 2nd ed., 1984, section 2.7
-GAUSS_NODES = (0.1, 3), (0.25, 4), (0.5, 5), (math.inf, 8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,117 +97,6 @@ class ImageSourceView:
     strips: Sequence[Sequence[tuple]]
 
 
-def beam_weights(
-    fan: Fan,
-    pattern: Callable | None,
-    reach_rad: float,
-    transmit_pattern: Callable | None = None,
-    elevation_pattern: Callable | None = None,
-    whole_columns: bool = False,
-    n_nodes: int = GAUSS_NODES[-1][1],
-) -> BeamWeights:
-    """Weigh columns by the beam pattern, over the solid angle of each beam.
-
-    Parameters
-    ----------
-    pattern : function (azimuth_rad, steer_rad) -> receive power pattern, 1 on the axis, or None for a box
-    reach_rad : the pattern counts as zero further than this from the axis
-    transmit_pattern : function (azimuth_rad) -> power pattern of the projector, or None for a uniform one.
-        The beam's solid angle leaves it out: beams are weak where the projector is
-    elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
-    whole_columns : weigh columns as wholes, also where the reach ends within them
-    n_nodes : of Gauss' rule for the mean of patterns over a column
-    """
-    sonar, n_columns = fan.sonar, fan.n_columns
-    edges, axes = fan.column_edges_rad, sonar.azimuth_rad
-    reach_rad = min(reach_rad, math.pi)
-    # the columns laid out three times round, so that the columns of a beam never break at the seam
-    turns = np.array([-2 * math.pi, 0, 2 * math.pi])[:, None]
-    if edges[-1] - edges[0] > 2 * math.pi - 1e-9:
-        edges = np.append((edges[:-1] + turns).ravel(), edges[-1] + 2 * math.pi)
-        origin = n_columns
-    else:
-        origin = 0
-    first = np.searchsorted(edges, axes - reach_rad + 1e-12, side="right") - 1
-    last = np.searchsorted(edges, axes + reach_rad - 1e-12, side="left")
-    first, last = np.maximum(first, 0), np.minimum(last, len(edges) - 1)
-    width = int((last - first).max())
-    first = np.minimum(first, len(edges) - 1 - width)
-    nodes, node_weights = np.polynomial.legendre.leggauss(n_nodes)
-    height = 2 * fan.max_sine
-    if elevation_pattern is not None:
-        sines = fan.max_sine * np.linspace(-1, 1, 2 * elevations_of(fan) - 1)[1::2]
-        height *= elevation_pattern(sines).mean()
-    columns_sr = np.diff(fan.column_edges_rad) * height
-    if fan.are_cones:
-        columns_sr = np.diff(fan.column_edges_rad) * _cone_heights(fan, elevation_pattern)
-    # an upright column of the same width holds as much of the elevation pattern
-    as_upright = columns_sr / (np.diff(fan.column_edges_rad) * height)
-    widths = np.diff(edges)
-    weights, width_rad = np.empty((len(axes), width), np.float32), np.empty(len(axes))
-    for beams in blocks_of(len(axes), width * n_nodes):
-        axis, columns = axes[beams, None], first[beams, None] + np.arange(width)
-        low, high = edges[columns] - axis, edges[columns + 1] - axis
-        if not whole_columns:
-            low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
-        received = high - low
-        steer, power = axis[..., None], 1.0
-        azimuths = steer + low[..., None] + received[..., None] * (nodes + 1) / 2
-        if pattern is not None:
-            power = pattern(azimuths, steer)
-            received = received * (power @ (node_weights / 2))
-        width_rad[beams] = (received * as_upright[(columns - origin) % n_columns]).sum(axis=1)
-        if transmit_pattern is not None:
-            received = (high - low) * ((power * transmit_pattern(azimuths)) @ (node_weights / 2))
-        # the sums of a column hold its whole width in azimuth
-        weights[beams] = received / widths[columns] / (width_rad[beams] * height)[:, None]
-    return BeamWeights(first - origin, weights, width_rad, height, columns_sr)
-
-
-def _n_nodes(width_rad: float, reach_rad: float, null_rad: float) -> int:
-    """Return the nodes for columns of some width.
-
-    Parameters
-    ----------
-    reach_rad, null_rad : of `beam_weights` and `Acoustics.null_rad`
-    """
-    ends_in_step = reach_rad + width_rad > math.pi / 2  # behind the array, which no rule resolves
-    in_nulls = math.inf if ends_in_step or not null_rad else width_rad / null_rad
-    return next(count for widest, count in GAUSS_NODES if in_nulls <= widest)
-
-
-def elevations_of(fan: Fan) -> int:
-    """Return the number of even sines from -1 to 1 at which the pattern in elevation is tabulated."""
-    return (ELEVATIONS - 1) * _times_finer(fan) + 1
-
-
-def _times_finer(fan: Fan) -> int:
-    """Return how many times finer a low main lobe is tabulated, a power of 2; 1 for those of devices."""
-    return 2 ** max(math.ceil(math.log2(LOW_LOBE_DEG / fan.sonar.elevation_fov_deg)), 0)
-
-
-def _cone_heights(fan: Fan, elevation_pattern: Callable | None) -> np.ndarray:
-    """Return the integral of the elevation pattern over cones, per radian across, of each column, (C,).
-
-    The direction at angle t around the cone that is shown at azimuth β is (cos β cos t, sin β, cos β sin t), and its
-    solid angle cos β dβ dt.
-    """
-    edges = fan.column_edges_rad
-    shown = np.linspace(edges[0], edges[-1], CONES)
-    ends = cone_end_rad(shown, fan.max_sine)
-    times_finer, power = _times_finer(fan), 1.0
-    n_around = AROUND * times_finer
-    if elevation_pattern is not None:
-        # some cones at a time, since many places around all of them would take gigabytes
-        parts = np.array_split(np.arange(CONES), times_finer)
-        around = (2 * np.arange(n_around) + 1 - n_around) / n_around
-        sines = (np.cos(shown[part])[:, None] * np.sin(ends[part][:, None] * around) for part in parts)
-        power = np.concatenate([elevation_pattern(one).mean(axis=1) for one in sines])
-    nodes, node_weights = np.polynomial.legendre.leggauss(8)  # columns of few samples are wide
-    places = edges[:-1, None] + np.diff(edges)[:, None] * (nodes + 1) / 2
-    return np.interp(places, shown, 2 * ends * np.cos(shown) * power) @ (node_weights / 2)
-
-
 def make_beamformer(
     sonar: Sonar,
     acoustics: Acoustics,
@@ -260,7 +138,7 @@ def make_beamformer(
         blocks = None
         if far_pattern is not None:
             blocks = make_lobe_blocks(far_pattern, sonar.azimuth_rad, (edges[0], edges[-1]))
-        n_nodes = _n_nodes(float(np.diff(edges).max()), reach, acoustics.null_rad(sonar))
+        n_nodes = gauss_nodes(float(np.diff(edges).max()), reach, acoustics.null_rad(sonar))
         weights = beam_weights(fan, pattern, reach, transmit, elevation, blocks is not None, n_nodes)
         return weights, None if blocks is None else far_lobes(blocks, weights, edges, transmit)
 
@@ -376,7 +254,7 @@ class Beamformer:
         # spans first: what lies outside of them is never cleared, should an interrupt come between
         columns.spans[:] = 0, columns.sums.shape[1]
         columns.sums[:] = self._weights.columns_sr[:, None]
-        response = self.weigh(NO_GAIN).intensity[:, 0].astype(np.float64)
+        response = self.weigh(columns, NO_GAIN).intensity[:, 0].astype(np.float64)
         columns.sums[:] = 0
         columns.spans[:] = columns.sums.shape[1], 0
         return response
@@ -395,6 +273,7 @@ class Beamformer:
         return weights + sum(a.nbytes for half in self.strips for strips in half for a in strips[:-1])
 
     def _column_sums(self, n_wide_columns: int = 0) -> ColumnSums:
+        """Return the room for sums, one for all: it holds what was summed last."""
         fan = self.fan
         n_wide_columns = max(n_wide_columns, fan.n_wide_columns)
         return self._workspace.column_sums(fan.n_columns, fan.sonar.n_bins, n_wide_columns)
@@ -422,11 +301,10 @@ class Beamformer:
         self, samples: Sequence[SectorSamples], gain=NO_GAIN, body_spans: np.ndarray = NO_SPANS
     ) -> BeamEcho:
         """Return the echo of surfaces, times the (K,) float32 gain; body_spans : of `ViewSamples`."""
-        self._sum_footprints(samples, body_spans)
-        return self.weigh(gain)
+        return self.weigh(self._sum_footprints(samples, body_spans), gain)
 
-    def _sum_footprints(self, samples: Sequence[SectorSamples], body_spans: np.ndarray) -> None:
-        """Sum surfaces into columns."""
+    def _sum_footprints(self, samples: Sequence[SectorSamples], body_spans: np.ndarray) -> ColumnSums:
+        """Return the sums of surfaces in columns."""
         of_sectors = [
             (
                 *(whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id)),
@@ -453,6 +331,7 @@ class Beamformer:
 
         self._run(work, self._rows(samples) < FEW_ROWS)
         self.share_wide_columns(columns)
+        return columns
 
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
@@ -461,7 +340,7 @@ class Beamformer:
             points = _shown_points(points)
         arrays = self.elevation_table, self.fan.max_sine, not self.is_box, columns.sums, columns.spans
         kernels.sum_points(points, edges_rad, edges_m, *arrays)
-        return self.weigh(gain)
+        return self.weigh(columns, gain)
 
     def sum_image_sources(
         self,
@@ -512,7 +391,7 @@ class Beamformer:
         if is_seen.any():
             self._run(add_own)
             self.share_wide_columns(columns)
-        return self.weigh(gain)
+        return self.weigh(columns, gain)
 
     def sum_bodies(self, view: ViewSamples, gain) -> tuple[BeamEcho, BodySums]:
         """Return what `sum_view` returns, to the bit, and the sums of each body for `find_labels`.
@@ -524,7 +403,7 @@ class Beamformer:
         run, clear = partial(self._run, serial=is_little), partial(self.clear_columns, columns=columns)
         runs = self._labeller.sum_up(view, self.strips, run, columns, clear)
         self.share_wide_columns(columns)
-        echo = self._with_bubbles(self.weigh(gain), view, gain)
+        echo = self._with_bubbles(self.weigh(columns, gain), view, gain)
         return echo, BodySums(runs, bins_of_bodies(view.body_spans, self._bins[0]), is_little)
 
     def find_labels(
@@ -541,8 +420,9 @@ class Beamformer:
         mask, unshadowed = None, None
         if background is not None:
             mask, view = background
-            self._sum_footprints(view.sectors, view.body_spans)
-            unshadowed, _ = self._weigh_support(self._tiles, NO_GAIN)  # labels know no far side lobes
+            columns = self._sum_footprints(view.sectors, view.body_spans)
+            # labels know no far side lobes
+            unshadowed, _ = self._weigh_support(columns, self._tiles, NO_GAIN)
         run = partial(self._run, serial=bodies.is_little)
         return self._labeller.find(bodies.runs, run, gain, n_bodies, bodies.body_bins, mask, unshadowed)
 
@@ -562,16 +442,16 @@ class Beamformer:
             n_rows += len(sector.strips.middle) / sector.columns * columns * rows
         return n_rows
 
-    def weigh(self, gain) -> BeamEcho:
+    def weigh(self, columns: ColumnSums, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
         if self._far is None:
-            return BeamEcho(*self._weigh_support(self._tiles, gain))
-        out, _ = self._weigh_support(tuple(self._far.near), gain)
-        return BeamEcho(out, self._add_far_lobes(out, gain))
+            return BeamEcho(*self._weigh_support(columns, self._tiles, gain))
+        out, _ = self._weigh_support(columns, tuple(self._far.near), gain)
+        return BeamEcho(out, self._add_far_lobes(columns, out, gain))
 
-    def _weigh_support(self, tiles: tuple, gain) -> tuple[np.ndarray, float]:
+    def _weigh_support(self, columns: ColumnSums, tiles: tuple, gain) -> tuple[np.ndarray, float]:
         """Return (B, K) beams as weighted sums of the columns in the support of their patterns, and their sum."""
-        out, totals, columns = self._pool.empty(), [0.0, 0.0], self._column_sums()
+        out, totals = self._pool.empty(), [0.0, 0.0]
 
         def work(half):
             totals[half] = kernels.weigh_columns(
@@ -582,9 +462,9 @@ class Beamformer:
         self._run(work, tiles[1].size * bins < FEW_PRODUCTS)
         return out, sum(totals)
 
-    def _add_far_lobes(self, out: np.ndarray, gain) -> float:
+    def _add_far_lobes(self, columns: ColumnSums, out: np.ndarray, gain) -> float:
         """Add to beams what they receive by far side lobes; return the sum of all."""
-        far, columns, totals = self._far, self._column_sums(), [0.0, 0.0]
+        far, totals = self._far, [0.0, 0.0]
         used = columns.spans[columns.spans[:, 0] < columns.spans[:, 1]]
         if not len(used):
             return 0.0

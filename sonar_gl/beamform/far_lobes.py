@@ -30,7 +30,7 @@ from threadpoolctl import ThreadpoolController
 
 from sonar_gl.acoustics.beam_pattern import FarPattern
 from sonar_gl.beamform import kernels
-from sonar_gl.beamform.workspace import BeamWeights
+from sonar_gl.beamform.weights import BeamWeights
 from sonar_gl.core.worker import held
 
 # Largest error of the far pattern, relative to the floor and the peak of the side lobe there: 0.46 dB.

@@ -1,8 +1,21 @@
 """The compiled sums: samples into columns and range bins, columns into beams, for echoes, labels and
 multipath.
 
-All of these share one walk over the strips of a sector (`find_strip`). The functions stand in one file
-because Numba keeps machine code by the file of a function alone: a function that calls one of another file
+The sections, and what each compiles for Python:
+
+| section | what it does | entry functions |
+| --- | --- | --- |
+| strips | finds the samples of a strip, and the borders of their footprints | |
+| footprints | sums footprints into columns and bins | `sum_footprints` |
+| point scatterers | sums points into columns and bins | `sum_points` |
+| wide columns | adds sums of wide columns to their columns | `share_wide_columns` |
+| columns to beams | weighs columns, and adds far side lobes | `weigh_columns`, `add_far_lobes` |
+| labels: the echo of each body | sums footprints of each body, with moments | `sum_bodies` |
+| labels: columns to beams | finds the strongest body of each bin | `sort_runs`, `find_strongest`, `sum_body_echo` |
+| image sources | reflects the samples of a sector, and sums them | `estimate_reflection`, `sum_image_source` |
+
+Footprints, labels and image sources share one walk over the strips of a sector (`find_strip`). The functions stand in
+one file because Numba keeps machine code by the file of a function alone: a function that calls one of another file
 would run with what that one was before its file changed.
 
 Entry functions take plain tuples where inner ones take the NamedTuples below, and name them on their first
@@ -1017,6 +1030,9 @@ def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, sp
             _bin_points(work, sums, spans, lattice.u, strip, bins)
 
 
+# ---- point scatterers --------------------------------------------------------------------------------
+
+
 @compiled
 def _column_at(column_edges_rad, azimuth_rad):
     """Return the column that holds an azimuth; −1 and the number of columns outside."""
@@ -1063,6 +1079,9 @@ def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, sh
         spans[c, 0], spans[c, 1] = min(spans[c, 0], k), max(spans[c, 1], k + 1)
 
 
+# ---- wide columns ------------------------------------------------------------------------------------
+
+
 @uncounted
 def share_wide_columns(wide_edges, shares, sums, spans):
     """Add what wide columns hold to their columns.
@@ -1084,6 +1103,9 @@ def share_wide_columns(wide_edges, shares, sums, spans):
             for k in range(uint64(first), uint64(past)):
                 sums[column, k] += share * sums[row, k]
             spans[c, 0], spans[c, 1] = min(spans[c, 0], first), max(spans[c, 1], past)
+
+
+# ---- columns to beams --------------------------------------------------------------------------------
 
 
 @uncounted

@@ -12,7 +12,8 @@ import numpy as np
 from numba import uint64
 
 from sonar_gl.beamform import kernels
-from sonar_gl.beamform.workspace import BeamWeights, ColumnSums, Workspace
+from sonar_gl.beamform.weights import BeamWeights
+from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.compiled import compiled
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import ViewSamples, whole_rows

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -14,55 +13,6 @@ from sonar_gl.core.array_pool import ArrayPools
 # Initial room of labels: bodies in a column, runs of bins, numbers. Where it is too small, samples are summed twice;
 # what is not used takes no memory.
 SLOTS, RUNS, POOL = 16, 1 << 14, 1 << 22
-BLOCK = 1 << 18  # numbers of `blocks_of`: 2 MB; the weights of most devices fill less, or little more
-
-
-@dataclass(frozen=True, eq=False)
-class BeamWeights:
-    """Beams as weighted sums of columns.
-
-    Attributes
-    ----------
-    first : (B,) int64, first column of each beam (may be negative: columns are modulo the fan's)
-    weights : (B, W) float32, 1/sr, rows of equal length
-    width_rad, height : (B,) integral of the receive pattern over azimuth, and of the elevation pattern over sines; of
-        columns that are cones a mean with the weights `columns_sr`
-    columns_sr : (C,) solid angle of each column, weighed by the elevation pattern
-    """
-
-    first: np.ndarray
-    weights: np.ndarray
-    width_rad: np.ndarray
-    height: float
-    columns_sr: np.ndarray
-
-    @cached_property
-    def tiles(self) -> kernels.BeamTiles:
-        """The weights in tiles of beams."""
-        return kernels.beam_tiles(self.first, self.weights)
-
-    @cached_property
-    def column_response(self) -> np.ndarray:
-        """What all beams together return of the echo in a column: (C,) float64."""
-        n_columns = len(self.columns_sr)
-        columns = self.first[:, None] + np.arange(self.weights.shape[1])
-        return np.bincount((columns % n_columns).ravel(), self.weights.ravel(), n_columns)
-
-    @cached_property
-    def received(self) -> np.ndarray:
-        """Which columns of the fan any beam receives: (C,) bool, read-only."""
-        out = np.zeros(len(self.columns_sr), bool)
-        for beams in blocks_of(*self.weights.shape):
-            columns = self.first[beams, None] + np.arange(self.weights.shape[1])
-            out[columns[self.weights[beams] > 0] % len(out)] = True
-        out.setflags(write=False)
-        return out
-
-
-def blocks_of(n_beams: int, n_each: int) -> Iterator[slice]:
-    """Yield beams, as many at a time as have BLOCK numbers together, of n_each: all of them would fill gigabytes."""
-    step = max(BLOCK // n_each, 1)
-    yield from (slice(first, first + step) for first in range(0, n_beams, step))
 
 
 @dataclass(frozen=True, eq=False)

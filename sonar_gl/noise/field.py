@@ -184,46 +184,72 @@ class FieldNoise:
     def _apply_look(self, intensity, power, look: int) -> None:
         """Replace diffuse echoes E, in place, by one look |√C + √V s + √E g + √N n|²: g speckle or 1, n receiver noise.
 
-        C is the coherent echo, V that of the water's few scatterers and s their field. `power` is the noise's mean
-        power N, (B, K) or (1, K), or None. The fields g and n have the same correlation. If both are new in each ping,
-        one field of power E + N has the same statistics: exactly in each bin, and between neighbours where the echo is
+        C is the coherent echo, V that of the water's few scatterers and s their field; without speckle all echo is E.
+        `power` is the noise's mean power N, (B, K) or (1, K), or None. The fields g and n have the same correlation.
+        """
+        if not self._noise.speckle:
+            self._add_receiver_noise(intensity, power)
+        elif self._noise.follow_motion:
+            self._apply_place_locked_speckle(intensity, power, look)
+        else:
+            self._apply_new_speckle(intensity, power)
+
+    def _add_receiver_noise(self, intensity, power) -> None:
+        """Apply a look of which g is 1."""
+        total = np.zeros((len(intensity), 2, intensity.shape[1]), np.float32)
+        np.sqrt(intensity, out=total[:, 0])
+        add_field(total, np.sqrt(power), self._correlation, self._stream("receiver"))
+        _square(total, intensity)
+
+    def _apply_new_speckle(self, intensity, power) -> None:
+        """Apply a look of which g, as n, is new in each ping.
+
+        One field of power E + N has the same statistics: exactly in each bin, and between neighbours where the echo is
         even.
         """
-        noise, scatterers, correlation = self._noise, self._scatterers, self._correlation
-        coherent = self._ping.coherent if noise.speckle else None
-        is_one_field = noise.speckle and not noise.follow_motion
-        if is_one_field and power is not None:
+        if power is not None:
             intensity += power
-        if coherent is None and scatterers is None and (is_one_field or power is None):
+        if self._is_diffuse:
+            self._multiply_by_speckle(intensity, "speckle")
+            return
+        total = np.empty((len(intensity), 2, intensity.shape[1]), np.float32)
+        self._fill_by_others(total)
+        add_field(total, np.sqrt(intensity), self._correlation, self._stream("speckle"))
+        _square(total, intensity)
+
+    def _apply_place_locked_speckle(self, intensity, power, look: int) -> None:
+        """Apply a look of which g belongs to the ping's pose."""
+        if self._is_diffuse and power is None:
             self._multiply_by_speckle(intensity, "speckle", look)
             return
         total = np.empty((len(intensity), 2, intensity.shape[1]), np.float32)
 
         def add_others() -> None:
-            """Fill `total` by all but the place-locked speckle."""
-            total[:] = 0
-            if coherent is not None:  # a circular g takes no notice of its phase: 0 in all bins
-                np.sqrt(coherent, out=total[:, 0])
-            if scatterers is not None:
-                add_scatterers(total, self._ping.volume, scatterers, correlation, self._stream("scatterers"))
-            if is_one_field:
-                add_field(total, np.sqrt(intensity), correlation, self._stream("speckle"))
-            elif not noise.speckle:
-                np.sqrt(intensity, out=total[:, 0])
-            if power is not None and not is_one_field:
-                add_field(total, np.sqrt(power), correlation, self._stream("receiver"))
+            self._fill_by_others(total)
+            if power is not None:
+                add_field(total, np.sqrt(power), self._correlation, self._stream("receiver"))
 
-        if is_one_field or not noise.speckle:
-            add_others()
-            np.square(total, out=total)
-            np.add(total[:, 0], total[:, 1], out=intensity)
-            return
         field = self._place_locked_field("speckle", look, add_others)
 
         def replace_rows(rows: slice) -> None:
             replace_by_look(field[rows], total[rows], intensity[rows])
 
         run_rows(self._thread if total.size > MANY_BINS else None, replace_rows, 0, len(total))
+
+    @property
+    def _is_diffuse(self) -> bool:
+        """Whether speckle acts on all of the echo."""
+        return self._scatterers is None and self._ping.coherent is None
+
+    def _fill_by_others(self, total: np.ndarray) -> None:
+        """Fill a field (B, 2, K) by what speckle does not act on, √C + √V s."""
+        total[:] = 0
+        if self._ping.coherent is not None:  # a circular g takes no notice of its phase: 0 in all bins
+            np.sqrt(self._ping.coherent, out=total[:, 0])
+        if self._scatterers is not None:
+            add_scatterers(
+                total, self._ping.volume, self._scatterers, self._correlation, self._stream("scatterers")
+            )
 
     def _multiply_by_speckle(self, intensity, term: str, look: int = 0) -> None:
         """Multiply the intensity, in place, by |g|² of the term's field."""
@@ -333,3 +359,9 @@ class FieldNoise:
                 f"noise: the ping must have {article} {name} for {purpose} (got None; pings of a Simulator have {them})"
             )
         return value
+
+
+def _square(field: np.ndarray, intensity: np.ndarray) -> None:
+    """Set the intensity (B, K) to the squared magnitude of a field (B, 2, K), which is lost."""
+    np.square(field, out=field)
+    np.add(field[:, 0], field[:, 1], out=intensity)

@@ -7,7 +7,8 @@ import pytest
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.solid_angle import beam_solid_angles
-from sonar_gl.beamform.beamformer import beam_weights, make_beamformer
+from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 from tests.support.settings import described

@@ -10,7 +10,6 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import ArrayPattern
-from sonar_gl.beamform import beamformer
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
@@ -47,7 +46,7 @@ def fan_and_weights(sonar, acoustics, columns_per_beam=1) -> tuple[Fan, np.ndarr
         columns.sums[:], columns.spans[:] = 0, (n_bins, 0)
         columns.sums[begin + k, k] = 1
         columns.spans[begin + k] = np.column_stack([k, k + 1])
-        out[:, begin + k] = former.weigh(np.empty(0, np.float32)).intensity[:, k]
+        out[:, begin + k] = former.weigh(columns, np.empty(0, np.float32)).intensity[:, k]
     return fan, out
 
 
@@ -151,9 +150,9 @@ def test_few_nodes_give_the_means_of_columns_to_the_last_bit_of_float32(name, mo
         return workspace.weights(edges, None)[0].weights.astype(float)
 
     found = weights()
-    monkeypatch.setattr(beamformer, "GAUSS_NODES", ((math.inf, 24),))
+    monkeypatch.setattr("sonar_gl.beamform.weights.GAUSS_NODES", ((math.inf, 24),))
     exact = weights()
-    monkeypatch.setattr(beamformer, "GAUSS_NODES", ((math.inf, 2),))
+    monkeypatch.setattr("sonar_gl.beamform.weights.GAUSS_NODES", ((math.inf, 2),))
     too_few = weights()
     last_bit = np.finfo(np.float32).eps * exact.max()
     # where the support ends the pattern does in a step, which no rule resolves

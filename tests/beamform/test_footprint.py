@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, beam_weights, make_beamformer
+from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, make_beamformer
 from sonar_gl.beamform.kernels import (
     ENERGY,
     SHORT_RAMP,
@@ -22,6 +22,7 @@ from sonar_gl.beamform.kernels import (
     sum_points,
     weigh_columns,
 )
+from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples

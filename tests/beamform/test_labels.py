@@ -9,9 +9,10 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.beamform import kernels, labels, workspace
-from sonar_gl.beamform.beamformer import Beamformer, beam_weights
+from sonar_gl.beamform.beamformer import Beamformer
 from sonar_gl.beamform.kernels import asin, atan, bin_table
 from sonar_gl.beamform.labels import BEYOND_BODY, label_columns
+from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.embed.sensor import Sensor
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.noise import add_noise

@@ -34,7 +34,8 @@ def outcomes():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         # the truths are coarser than the tool's: halves differ by 1 %, their mean errs by about half of that
-        tried = [promise.try_world(seed, (0.05, 0.02), 0.1, costs=False) for seed in WORLDS]
+        worlds = [promise.World(seed, truth_error=0.1) for seed in WORLDS]
+        tried = [promise.try_tolerances(world, promise.try_plan, (0.05, 0.02)) for world in worlds]
     return [outcome for one in tried for outcome in one]
 
 
@@ -47,8 +48,8 @@ def test_promises_are_kept(outcomes):
 def test_estimates_bound_errors(outcomes):
     """An estimate is nearly always above the error, and not many times above it."""
     uncertainty = 0.006  # of these truths
-    assert sum(o.error_estimate >= o.error - uncertainty for o in outcomes) >= LEAST
-    ratios = sorted(o.error_estimate / o.error for o in outcomes if o.error > uncertainty)
+    assert sum(o.error_estimate >= o.errors.echo - uncertainty for o in outcomes) >= LEAST
+    ratios = sorted(o.error_estimate / o.errors.echo for o in outcomes if o.errors.echo > uncertainty)
     assert 1.0 < ratios[len(ratios) // 2] < 3.0
     assert all(o.error_estimate <= o.tolerance for o in outcomes if o.met)
 

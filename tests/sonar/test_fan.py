@@ -7,7 +7,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.beamform.beamformer import beam_weights
+from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.sonar.fan import BeamShape, ColumnWidths, make_fan
 from tests.support.fans import box_fan, make_sonar
 

@@ -7,6 +7,7 @@ python -m tools.docs.view --film view.gif  # a film of the page while the sonar 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import time
 from pathlib import Path
@@ -34,13 +35,14 @@ SETTLE_S = 8.0  # for the scene to be drawn by software
 WAIT_MS = 120_000
 
 
+@contextlib.contextmanager
 def show(browser, name: str):
-    """Yield a tab that shows a scene, and its session."""
+    """Yield a tab that shows a scene, and its session; close both afterwards."""
     sonar, range_m, _ = SCENES[name]
     settings = LiveSettings(load_sonar(sonar), range_m=range_m)
     session = LiveSession(load_scene(name), settings, source=SceneSource(name))
-    with session, ViewerPage(session, port=0) as page:
-        tab = browser.new_page(viewport=SIZE)
+    tab_of = contextlib.closing(browser.new_page(viewport=SIZE))
+    with session, ViewerPage(session, port=0) as page, tab_of as tab:
         tab.set_default_timeout(WAIT_MS)
         tab.add_init_script(COUNT_PICTURES)
         tab.goto(page.url)
@@ -51,7 +53,6 @@ def show(browser, name: str):
         if note.count():
             note.first.click()
         yield tab, session
-        tab.close()
 
 
 def screenshot(tab) -> Image.Image:
@@ -61,7 +62,7 @@ def screenshot(tab) -> Image.Image:
 
 def draw(browser, name: str) -> None:
     """Write the picture of a scene's page."""
-    for tab, _ in show(browser, name):
+    with show(browser, name) as (tab, _):
         box = tab.locator('img[src^="blob:"]').first.bounding_box()
         _, _, (right, down) = SCENES[name]
         tab.mouse.move(box["x"] + right * box["width"], box["y"] + down * box["height"])
@@ -76,7 +77,7 @@ def draw(browser, name: str) -> None:
 def film(browser, path: Path) -> None:
     """Write a film of the pylon scene while the sonar turns."""
     frames = []
-    for tab, session in show(browser, "pylon"):
+    with show(browser, "pylon") as (tab, session):
         # so that a browser that draws in software, on the cores that make the pings, keeps up with them
         session.change(max_rate_hz=2.0)
         for number in range(FILM_FRAMES):

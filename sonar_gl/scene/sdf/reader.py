@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,15 +84,9 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     A link may hold `<sonar_gl:bubbles>`, a plume, and a world `<sonar_gl:surface>`; see `extensions`.
     Elements without acoustic meaning are ignored.
     """
-    text, arguments = split_arguments(str(path))
-    path = Path(text)
-    name = path.stem.removesuffix(".urdf")
-    if path.is_dir():
-        resources, name = Resources(path / "model.sdf", resource_paths), path.resolve().name
-        path = resources.file_of_model(path)
-    else:
-        resources = Resources(path, resource_paths)
-    top, scope = _read_root(resources, path, arguments)
+    file = _find_file(path, resource_paths)
+    path, resources = file.path, file.resources
+    top, scope = _read_root(resources, path, file.arguments)
     surface = {}
     for child in check_extensions(top, ("surface",), scope.location):
         surface = read_surface(child, scope.location_of("sonar_gl:surface"))
@@ -103,41 +98,79 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     sensors, changed = _read_sensors(sonars)
     reader = BodyReader(resources)
     bodies = _read_bodies(links, sonars[0].link if sonars else None, reader)
+    _warn_of_broken_xml(path, resources)
+    water, height_m = _read_water(links, resources)
+    if surface:
+        height_m = None  # the file states the surface
+    elif height_m is not None:
+        surface = {"surface_z_m": height_m}
+    _warn(path, [*_notes_of_water(water, height_m), *_notes_of_rays(links, sonars), *tree.notes(), moved])
+    _check_missing(path, resources, skip_missing)
+    _warn_of_shapes(path, reader, tree.misplaced, len(bodies))
+    _warn(path, changed)
+    plumes = _read_plumes(links)
+    _warn_of_angles(path, scope.large_angles)
+    with errors_at(str(path)):
+        sonar_pose, models = sensors[0].pose if sensors else None, dict(models_of(scope, np.eye(4)))
+        return Scene([*bodies, *plumes], sonar_pose, file.name, **surface, sensors=sensors, models=models)
+
+
+class _File(NamedTuple):
+    """A file that holds a scene.
+
+    Attributes
+    ----------
+    path, arguments : of the file, and those of xacro that came with it
+    name : of the scene
+    resources : finds what the file refers to
+    """
+
+    path: Path
+    arguments: dict[str, str]
+    name: str
+    resources: Resources
+
+
+def _find_file(path, resource_paths) -> _File:
+    """Return the file that is meant by the arguments of `read_sdf`."""
+    text, arguments = split_arguments(str(path))
+    path = Path(text)
+    if not path.is_dir():
+        return _File(path, arguments, path.stem.removesuffix(".urdf"), Resources(path, resource_paths))
+    resources = Resources(path / "model.sdf", resource_paths)
+    return _File(resources.file_of_model(path), arguments, path.resolve().name, resources)
+
+
+def _warn(path: Path, notes: Iterable[str]) -> None:
+    """Warn once of all notes that are not empty."""
+    if said := "; ".join(filter(None, notes)):
+        warn_caller(f"{path}: {said}")
+
+
+def _warn_of_broken_xml(path: Path, resources: Resources) -> None:
+    """Warn of files that are no good XML."""
     if resources.recovered:
         files = ", ".join(
             f"{file} ({why})" if why else str(file) for file, why in resources.recovered.items()
         )
         warn_caller(f"{path}: broken XML, read as Gazebo reads it: {files}")
-    left_out, height_m = _read_water(links, resources)
-    said = []
+
+
+def _notes_of_water(left_out: list[str], height_m: float | None) -> Iterator[str]:
+    """Yield what to say of shapes of water: names of those left out, and the height of the surface that one gives."""
     if left_out:
-        said.append(f"water and marks are no bodies, and are left out ({some_names(left_out)})")
-    if height_m is not None and not surface:
-        surface = {"surface_z_m": height_m}
-        said.append(f"the water's surface is taken from its shape, z = {height_m:g} m")
+        yield f"water and marks are no bodies, and are left out ({some_names(left_out)})"
+    if height_m is not None:
+        yield f"the water's surface is taken from its shape, z = {height_m:g} m"
+
+
+def _notes_of_rays(links: list[Link], sonars: list[SensorOfLink]) -> Iterator[str]:
+    """Yield what to say of ray sensors in a scene without a sonar."""
     if not sonars and (rays := ray_sensors_of(links)):
-        said.append(
+        yield (
             f"no sensor is named after a sonar; if a ray sensor stands for one ({some_names(rays)}), write 'sonar' "
             "into its name, and its place and settings are taken"
         )
-    if tree.changed:
-        said.append(
-            f"changes of included models by <experimental:params> are left out ({some_names(tree.changed)})"
-        )
-    if tree.left_out:
-        said.append(f"actors, populations and roads are left out ({some_names(tree.left_out)})")
-    said += [moved] if moved else []
-    if said:
-        warn_caller(f"{path}: {'; '.join(said)}")
-    _check_missing(path, resources, skip_missing)
-    _warn_of_shapes(path, reader, tree.misplaced, len(bodies))
-    if changed:
-        warn_caller(f"{path}: {'; '.join(changed)}")
-    plumes = _read_plumes(links)
-    _warn_of_angles(path, scope.large_angles)
-    with errors_at(str(path)):
-        sonar_pose, models = sensors[0].pose if sensors else None, dict(models_of(scope, np.eye(4)))
-        return Scene([*bodies, *plumes], sonar_pose, name, **surface, sensors=sensors, models=models)
 
 
 def _check_missing(path: Path, resources: Resources, skip_missing: bool) -> None:
@@ -280,14 +313,21 @@ class TreeReader:
 
     Attributes
     ----------
-    left_out : kinds and names of what Gazebo shows, and is not read
-    changed : names of included models whose elements the scene changes, which is not read
     misplaced : what to say of shapes out of links, and of tags that mean a pose and are none
     """
 
     def __init__(self, resources: Resources):
-        self.resources, self.left_out, self.changed, self.misplaced = resources, [], [], []
-        self._n_models = 0
+        self.resources, self.misplaced, self._n_models = resources, [], 0
+        self._left_out = []  # kinds and names of what Gazebo shows, and is not read
+        self._changed = []  # names of included models whose elements the scene changes, which is not read
+
+    def notes(self) -> Iterator[str]:
+        """Yield what to say of what is not read."""
+        if self._changed:
+            names = some_names(self._changed)
+            yield f"changes of included models by <experimental:params> are left out ({names})"
+        if self._left_out:
+            yield f"actors, populations and roads are left out ({some_names(self._left_out)})"
 
     def fill(self, scope: Scope, element, stack: tuple) -> None:
         """Add the frames, links and models of a world or model to its scope, with those of included models.
@@ -321,7 +361,7 @@ class TreeReader:
                 base = (child.get("attached_to") or "").strip()
                 scope.add(name, Frame(child.find("pose"), location, base))
             elif child.tag in NOT_READ:
-                self.left_out.append(f"{child.tag} {name}")
+                self._left_out.append(f"{child.tag} {name}")
         for joint in element.findall("joint"):  # last, since old files give joints the names of links
             name = (joint.get("name") or "").strip()
             base = (joint.findtext("child") or "").strip()
@@ -363,11 +403,11 @@ class TreeReader:
         if model is None:
             if root.find("light") is None and root.find("actor") is None:
                 raise Error(f"{path}: must hold a <model> (included by {location})")
-            self.left_out += [f"actor {(one.get('name') or '').strip()}" for one in root.findall("actor")]
+            self._left_out += [f"actor {(one.get('name') or '').strip()}" for one in root.findall("actor")]
             return
         name = name or (model.get("name") or "").strip()
         if any(str(child.tag).endswith(CHANGES_OF_INCLUDED) for child in element):
-            self.changed.append(name)
+            self._changed.append(name)
         model_location = f"{path}: model[{name}]"
         pose_element, pose_location = element.find("pose"), location
         if pose_element is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 import sonar_gl as sg
 from sonar_gl.beamform import kernels
-from sonar_gl.beamform.beamformer import beam_weights
+from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.sector import make_strips
