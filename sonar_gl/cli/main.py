@@ -26,6 +26,7 @@ from sonar_gl.cli.output import echo
 from sonar_gl.core.atomic_file import check_output_file
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.imaging.formats import FORMATS
 
 IMPORT_PAUSE_S = 0.05  # until a signal that came during an import is tried again
 
@@ -181,7 +182,7 @@ Examples:
     height={"type": int, "default": 800},
     seed={"type": int, "default": 0},
     formats={
-        "type": click.Choice(("png", "npz", "gif", "mp4")),
+        "type": click.Choice(FORMATS),
         "multiple": True,
         "default": ("png", "npz"),
     },
