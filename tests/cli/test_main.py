@@ -26,7 +26,7 @@ from sonar_gl.gl import context as gl
 from sonar_gl.imaging import files as export
 from sonar_gl.imaging.formats import FORMATS
 from sonar_gl.scene.materials import materials
-from tests.support.command_line import BODY, BOX, SENSOR, SONAR, WALL, run
+from tests.support.command_line import BODY, BOX, SENSOR, SONAR, WALL, ended, run
 from tests.support.processes import HOME, python
 
 SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
@@ -551,11 +551,7 @@ def test_examples_of_the_help_show_something(line):
     x, y, z, *angles = pose_numbers(sg.load_scene("pylon").sonar_pose)
     rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]
     Path("dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
-    words = shlex.split(line)
-    if words[0] in ("emulate", "view"):  # it would go on for ever; the device's port may be taken
-        words += ["--duration", "1", "--port", "0"]
-    if words[0] == "ros2":
-        words += ["--duration", "1", "--domain", str(100 + os.getpid() % 100)]
+    words = ended(shlex.split(line), 1.0)
     status, out, err = run(*words)
     if words[0] == "view":
         assert status == 0 and "the page is at http://127.0.0.1:" in err

@@ -25,6 +25,7 @@ from sonar_gl.batch.trajectories import KINDS
 from sonar_gl.cli import main as cli
 from sonar_gl.imaging.files import NPZ_FIELDS
 from tests.support.batches import LABELS, make_all, write_plain_job
+from tests.support.command_line import ended
 from tools import compare_real
 from tools.bench import __main__ as bench
 from tools.bench import embed
@@ -149,16 +150,9 @@ def test_examples_of_docstrings_hold():
 @pytest.mark.usefixtures("timed_once")
 def test_commands_run(words, folder):
     before = set(folder.rglob("*"))
-    command = cli.main.commands[words[1]]
-    command = getattr(command, "commands", {}).get(words[2], command) if len(words) > 2 else command
-    options = {option for parameter in command.params for option in parameter.opts}
-    if "--duration" in options:  # it would go on for ever
-        words = [*words, "--duration", "0.05"]
-    if "--port" in options:  # which may be taken
-        words = [*words, "--port", "0"]
-    if words[1] == "ros2":  # programs that run beside tests may use domain 0
+    if words[1] == "ros2":
         pytest.importorskip("cyclonedds", reason="cyclonedds, of the extra live, is missing")
-        words = [*words, "--domain", str(100 + os.getpid() % 100)]
+    words = ["sonar-gl", *ended(words[1:], 0.05)]
     result = run(*words[1:])
     assert result.exit_code == 0, result.output
     assert "warning" not in result.output or "no zenoh router answers" in result.output
