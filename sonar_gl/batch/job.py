@@ -19,7 +19,8 @@ from sonar_gl.core.extras import missing_module
 from sonar_gl.core.names import names_of
 from sonar_gl.core.poses import check_pose, pose
 from sonar_gl.core.toml import read_toml
-from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, colours
+from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
+from sonar_gl.imaging.fan_image import colours
 from sonar_gl.imaging.styles import what_lacks_16_bits
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB

@@ -26,6 +26,8 @@ from sonar_gl.cli.output import echo
 from sonar_gl.core.atomic_file import check_output_file
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError
 from sonar_gl.core.extras import missing_extra
+from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
+from sonar_gl.imaging.formats import FORMATS
 
 IMPORT_PAUSE_S = 0.05  # until a signal that came during an import is tried again
 
@@ -174,14 +176,14 @@ Examples:
     noise={"show_default": "physical with that profile, demarco2015 in that style, else none"},
     style={"type": click.Choice(("fan", "demarco2015")), "default": "fan"},
     counts={"show_default": "the sonar's"},
-    colormap={"default": "copper"},
+    colormap={"default": DEFAULT_COLORMAP},
     axes={"is_flag": True},
     form={"type": click.Choice(("isotropic", "printed")), "default": "isotropic"},
     join={"type": click.Choice(("circles", "polygons")), "default": "circles"},
     height={"type": int, "default": 800},
     seed={"type": int, "default": 0},
     formats={
-        "type": click.Choice(("png", "npz", "gif", "mp4")),
+        "type": click.Choice(FORMATS),
         "multiple": True,
         "default": ("png", "npz"),
     },
@@ -356,7 +358,7 @@ Examples:
 @ping_options(
     **LIVE_OPTIONS,
     counts={"show_default": "the sonar's"},
-    colormap={"default": "copper"},
+    colormap={"default": DEFAULT_COLORMAP},
     polar={"is_flag": True},
     height={"type": int, "default": 640},
     host={"default": "127.0.0.1"},

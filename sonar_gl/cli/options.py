@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import click
 
 from sonar_gl.core.errors import Error
+from sonar_gl.imaging.colormaps import OFFERED
 
 POSE = '"x y z roll pitch yaw", metres and radians'
 HELP = {
@@ -23,7 +24,7 @@ HELP = {
     "noise": "none, demarco2015 or physical, also with changes: physical,follow_motion=no; or amounts: gaussian=1e-4.",
     "style": "Picture: a fan image, or that of DeMarco et al. (2015).",
     "counts": "How intensity becomes brightness, such as law=db,low_db=-50,gain_percentile=99.",
-    "colormap": "Colour map of the fan image: copper, amber, ice, gray, jet, viridis, or another of OpenCV.",
+    "colormap": f"Colour map of the fan image: {', '.join(OFFERED)}, or another of OpenCV.",
     "axes": "Draw range and azimuth axes around the fan image, a title, and the bar of colours.",
     "form": "Style demarco2015: equal scales, or eqs. (8)-(9) of the paper as printed.",
     "join": "Style demarco2015: how points are drawn.",

@@ -30,7 +30,8 @@ from sonar_gl.cli.common import (
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import check_fps, output_folder, save_animation, save_npz, save_png
-from sonar_gl.imaging.styles import FILMS, DemarcoStyle, FanStyle, shows_echo, what_lacks_16_bits
+from sonar_gl.imaging.formats import FILMS, STILLS
+from sonar_gl.imaging.styles import DemarcoStyle, FanStyle, shows_echo, what_lacks_16_bits
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
@@ -43,7 +44,6 @@ REPLACED = {  # options of former versions: what stands in their place
     "db_range": '--counts "law=db,low_db=-50,high_db=0"',
 }
 DEMARCO_ONLY = ("form", "join")
-STILLS = ("png", "npz")
 WRITERS = 2  # threads: writing a PNG takes longer than a frame, and compression releases the GIL
 NEARLY_EMPTY = 0.01  # share of bright cells
 OVER_NOISE = 8.0  # times its mean power, which noise exceeds in e^-8 of all cells, fewer than NEARLY_EMPTY
@@ -297,10 +297,10 @@ class FrameWriter:
                     share = np.count_nonzero(bright) / bright.size
                     self._bright_share = max(self._bright_share or 0.0, share)
                 self._has_files |= bool(stills)
-                if "png" in stills:
-                    calls.start(save_png, self.folder / f"{names[number]}.png", picture)
-                if "npz" in stills:
-                    calls.start(save_npz, self.folder / f"{names[number]}.npz", ping)
+                contents = {"png": (save_png, picture), "npz": (save_npz, ping)}
+                for still in stills:
+                    save, content = contents[still]
+                    calls.start(save, self.folder / f"{names[number]}.{still}", content)
                 yield picture
 
     def _note(self, ping: Ping, number: int):

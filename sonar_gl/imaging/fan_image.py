@@ -16,6 +16,7 @@ import numpy as np
 
 from sonar_gl.core.checks import check_choice, check_kind, check_whole_number, holds_numbers, shown
 from sonar_gl.core.errors import Error
+from sonar_gl.imaging.colormaps import ANCHORS, DEFAULT_COLORMAP
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
 
@@ -23,15 +24,6 @@ MAX_HEIGHT = 16000  # cv2.remap counts pixels in 16 bits, and a picture may be t
 MAX_BEAMS = 32000  # rows of an array that cv2.remap can count
 SINGLE_BEAM_RAD = math.radians(1.0)  # width of a single beam if the ping has no sonar
 _BLOCK_ROWS = 64  # rows of pixels computed at a time, which takes 20 MB less than all at once
-# Colours of the kinds that sonar vendors' viewers offer, evenly spread from 0 to full scale and interpolated. They look
-# alike, but are nobody's own tables. In each, brightness rises all the way, so that it can be read as counts.
-ANCHORS = {
-    "gray": "000000 ffffff",
-    "copper": "000000 40200c 8c4a18 d08840 f4c888 fff8e8",
-    "amber": "000000 4c2600 985000 dc8800 ffbe30 fff0b0",
-    "ice": "000000 0a2048 185090 3c94c8 96d4ec f4ffff",
-}
-DEFAULT_COLORMAP = "copper"  # what most viewers show at first
 _OUTSIDE = -16.0  # map coordinate of pixels outside the fan: so far off the array that no echo leaks in
 
 

@@ -11,12 +11,12 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.imaging.axes import draw_axes
 from sonar_gl.imaging.demarco2015 import demarco_image
 from sonar_gl.imaging.fan_image import colorize, colours, fan_image
+from sonar_gl.imaging.formats import FILMS
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
 
 DARK_BLUE = 128  # the first colour of Jet
-FILMS = ("gif", "mp4")  # formats that have 8 bits at most
 
 
 def holds_16_bits(law: Counts, colormap: str, axes: bool = False) -> bool:

@@ -12,7 +12,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import DEFAULT_WATER
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose_numbers
-from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP
+from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.noise.settings import PRESETS, Noise
 from sonar_gl.sonar.sonar import UNPARSED, Sonar, presets

@@ -15,7 +15,8 @@ from sonar_gl.core.checks import (
     make_numbers_plain,
 )
 from sonar_gl.core.errors import Error
-from sonar_gl.imaging.fan_image import DEFAULT_COLORMAP, MAX_HEIGHT, colours
+from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
+from sonar_gl.imaging.fan_image import MAX_HEIGHT, colours
 from sonar_gl.noise.settings import Noise
 from sonar_gl.raster.engine import ENGINES
 from sonar_gl.sonar.counts import Counts

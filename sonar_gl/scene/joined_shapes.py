@@ -19,17 +19,22 @@ class EchoingShape(NamedTuple):
     material: str | None
 
 
-def body_of_shapes(
-    name: str, group: list[EchoingShape], pose, lobe: tuple, speckle_shape: float | None = None
-) -> Body:
-    """Return one body from shapes that have the same specular lobe and texture.
+class SurfaceKind(NamedTuple):
+    """What shapes must have alike to be one body: properties of its whole surface, as the fields of `Body`."""
+
+    specular: float = 0.0
+    roughness_rad: float | None = None
+    speckle_shape: float | None = None
+
+
+def body_of_shapes(name: str, group: list[EchoingShape], pose, kind: SurfaceKind) -> Body:
+    """Return one body from shapes of one kind of surface.
 
     Parameters
     ----------
     group : shapes in the frame of the body; one or more
     pose : (4, 4) world_from_body
-    lobe : specular and roughness_rad of `Body`
-    speckle_shape : of `Body`
+    kind : SurfaceKind of all of them
     """
     shapes, reflectivities, materials = zip(*group, strict=True)
     mesh, normals = shapes[0] if len(shapes) == 1 else primitives.concatenate(shapes)
@@ -38,4 +43,4 @@ def body_of_shapes(
         per_face = [np.broadcast_to(one.reflectivity, len(one.shape.mesh.faces)) for one in group]
         reflectivity = np.concatenate(per_face)
     common_material = materials[0] if len(set(materials)) == 1 else None
-    return Body(name, mesh, pose, reflectivity, normals, *lobe, common_material, speckle_shape)
+    return Body(name, mesh, pose, reflectivity, normals, material=common_material, **kind._asdict())

@@ -16,7 +16,7 @@ from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.input_files import note_file
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import primitives
-from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
+from sonar_gl.scene.joined_shapes import EchoingShape, SurfaceKind, body_of_shapes
 from sonar_gl.scene.materials import Material, find_material
 from sonar_gl.scene.primitives import Shape, make_shape
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Scene
@@ -96,7 +96,7 @@ def convert_mujoco_model(what, name: str = "scene", path: Path | None = None) ->
         found = _material(model, part.geoms[0])
         with errors_at(f"body {part.name!r} of the MuJoCo model"):
             pose = _pose(data.xpos[part.body], data.xmat[part.body])
-            bodies.append(body_of_shapes(part.name, group, pose, _lobe(found)))
+            bodies.append(body_of_shapes(part.name, group, pose, _kind(found)))
         if any(_material(model, g) is None for g in part.geoms):
             unspecified.append(part.name)
     where = "" if path is None else f"{path}: "
@@ -300,7 +300,7 @@ def _parts(model) -> Iterator[Part]:
         if body == 0:
             parts[0, geom] = Part(f"world::{own}" if own in names else own, 0, [geom])
             continue
-        key = body, _lobe(_material(model, geom))
+        key = body, _kind(_material(model, geom))
         if key not in parts:
             name = _name(model, "body", body)
             is_first = not any(number == body for number, _ in parts)
@@ -349,9 +349,11 @@ def _material(model, geom: int) -> Material | None:
     return find_material(model.mat(number).name) if number >= 0 else None
 
 
-def _lobe(found: Material | None) -> tuple:
-    """Return specular and roughness_rad as `Body` takes them."""
-    return (found.specular, found.roughness_rad) if found is not None and found.specular else (0.0, None)
+def _kind(found: Material | None) -> SurfaceKind:
+    """Return the kind of surface that a material has, or that of none."""
+    if found is None or not found.specular:
+        return SurfaceKind()
+    return SurfaceKind(found.specular, found.roughness_rad)
 
 
 def _reflectivity(model, geom: int) -> tuple[float, str | None]:

@@ -5,7 +5,7 @@ import math
 import re
 import shutil
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -1096,6 +1096,15 @@ def test_what_an_included_model_states_of_its_surface_changes_the_digest(tmp_pat
         (tmp_path / "rock" / "model.sdf").write_text(model.format(surface + shape, link))
         digests.append(Schema(BatchRequests(read_job(path))).digest)
     assert len(set(digests)) == len(digests)
+
+
+def test_each_field_of_a_body_is_known_to_the_digest():
+    """A field that the digest lacks would let a batch go on with bodies of another echo."""
+    scalars = {"name", "material", "specular", "roughness_rad", "speckle_shape"}
+    arrays = {"mesh", "surface", "pose", "reflectivity", "normals"}
+    assert {field.name for field in fields(sg.Body)} == scalars | arrays, (
+        "add a new field to the digest of scenes in sonar_gl/batch/schema.py, and then here"
+    )
 
 
 def test_changes_of_a_sonar_go_with_a_file_beside_the_job(tmp_path, monkeypatch):

@@ -24,8 +24,9 @@ from sonar_gl.cli import main as cli
 from sonar_gl.core.poses import pose_numbers, read_poses
 from sonar_gl.gl import context as gl
 from sonar_gl.imaging import files as export
+from sonar_gl.imaging.formats import FORMATS
 from sonar_gl.scene.materials import materials
-from tests.support.command_line import BODY, BOX, SENSOR, SONAR, WALL, run
+from tests.support.command_line import BODY, BOX, SENSOR, SONAR, WALL, ended, run
 from tests.support.processes import HOME, python
 
 SCENE = f'<sdf version="1.9"><world name="any">{WALL}{BOX}{{more}}</world></sdf>'
@@ -119,6 +120,16 @@ def test_format_may_be_one():
     assert [p.name for p in Path("two").iterdir()] == ["tank.png"]
 
 
+def test_every_format_has_a_file():
+    """A choice of which nothing is written would go unnoticed: the command ends with status 0 and names no file."""
+    given = [word for one in FORMATS for word in ("--format", one)]
+    out = render("--poses", "dive.csv", *given, "--out", "all")
+    for one in FORMATS:
+        assert list(Path("all").glob(f"*.{one}")) and f".{one}" in out, (
+            f"render writes no {one} (FrameWriter)"
+        )
+
+
 def test_range_keeps_the_bin_and_bins_sets_their_number():
     render("--range", 4.5, "--format", "npz")
     got = ping()
@@ -202,7 +213,7 @@ def test_range_law_is_that_of_the_paper_s_profile():
 def test_choices_are_those_of_the_modules():
     choices = {p.name: getattr(p.type, "choices", None) for p in cli.render.params}
     assert list(choices["profile"]) == list(settings.PROFILES)
-    assert set(choices["formats"]) == {"png", "npz", "gif", "mp4"}
+    assert set(choices["formats"]) == set(FORMATS) == {"png", "npz", "gif", "mp4"}
 
 
 def test_noise_in_words_and_amounts():
@@ -540,11 +551,7 @@ def test_examples_of_the_help_show_something(line):
     x, y, z, *angles = pose_numbers(sg.load_scene("pylon").sonar_pose)
     rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]
     Path("dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
-    words = shlex.split(line)
-    if words[0] in ("emulate", "view"):  # it would go on for ever; the device's port may be taken
-        words += ["--duration", "1", "--port", "0"]
-    if words[0] == "ros2":
-        words += ["--duration", "1", "--domain", str(100 + os.getpid() % 100)]
+    words = ended(shlex.split(line), 1.0)
     status, out, err = run(*words)
     if words[0] == "view":
         assert status == 0 and "the page is at http://127.0.0.1:" in err

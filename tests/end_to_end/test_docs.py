@@ -25,6 +25,7 @@ from sonar_gl.batch.trajectories import KINDS
 from sonar_gl.cli import main as cli
 from sonar_gl.imaging.files import NPZ_FIELDS
 from tests.support.batches import LABELS, make_all, write_plain_job
+from tests.support.command_line import ended
 from tools import compare_real
 from tools.bench import __main__ as bench
 from tools.bench import embed
@@ -149,11 +150,9 @@ def test_examples_of_docstrings_hold():
 @pytest.mark.usefixtures("timed_once")
 def test_commands_run(words, folder):
     before = set(folder.rglob("*"))
-    if words[1] in ("emulate", "view"):  # it would go on for ever; the device's port may be taken
-        words = [*words, "--duration", "0.05", "--port", "0"]
-    if words[1] == "ros2":  # the same, and programs that run beside tests may use domain 0
+    if words[1] == "ros2":
         pytest.importorskip("cyclonedds", reason="cyclonedds, of the extra live, is missing")
-        words = [*words, "--duration", "0.05", "--domain", str(100 + os.getpid() % 100)]
+    words = ["sonar-gl", *ended(words[1:], 0.05)]
     result = run(*words[1:])
     assert result.exit_code == 0, result.output
     assert "warning" not in result.output or "no zenoh router answers" in result.output
@@ -254,13 +253,16 @@ def test_options_exist(page):
 
 def test_every_command_is_told_in_the_readme():
     told = set(re.findall(r"^\| `sonar-gl (\w+)", text_of(ROOT / "README.md"), re.MULTILINE))
-    assert told == set(cli.main.commands)
+    assert told == set(cli.main.commands), (
+        "the README's table of commands must have a row for each, and no other"
+    )
 
 
 @pytest.mark.parametrize("settings", [sg.Acoustics, sg.Noise, sg.Water])
 def test_every_setting_is_told_on_the_page_of_acoustics(settings):
     told = set(re.findall(r"\w+", text_of(ROOT / "docs" / "acoustics.md")))
-    assert {field.name for field in dataclasses.fields(settings)} - told == set()
+    untold = {field.name for field in dataclasses.fields(settings)} - told
+    assert untold == set(), "docs/acoustics.md must have a row for each of these"
 
 
 def test_every_term_has_its_row_in_each_table_of_the_ablation():

@@ -1,6 +1,7 @@
 """Styles: the pictures of pings as fan images and as the founding paper's."""
 
 import warnings
+from dataclasses import fields
 from types import SimpleNamespace
 
 import numpy as np
@@ -49,6 +50,21 @@ def test_demarco_style_counts_seeds():
 def test_the_founding_papers_picture_needs_a_simulator():
     with pytest.raises(sg.Error, match=r"simulator must be a Simulator \(got Scene; "):
         sg.demarco_image(sg.Scene([]), sg.pose())
+
+
+IN_THE_PAPER = {"salt_and_pepper", "median", "cloud_gaussian_m"}  # noise that its picture has
+CHANGES_ANOTHER = {"looks", "follow_motion", "interference_db"}  # nothing without another term
+AMOUNTS = {"ambient_db": -90.0, "gaussian": 0.1, "dropped_beams": 0.1}  # others are 1, or on
+
+
+def test_demarco_style_warns_of_each_term_of_noise_that_it_lacks():
+    for name in {field.name for field in fields(sg.Noise)} - IN_THE_PAPER - CHANGES_ANOTHER:
+        default = getattr(sg.Noise(), name)
+        noise = sg.Noise(**{name: AMOUNTS.get(name, True if default is False else 1)})
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            DemarcoStyle(80, "isotropic", "circles", noise, 0)
+        assert caught, f"DemarcoStyle must warn of {name}, or the paper's picture has it (IN_THE_PAPER)"
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ def test_stream_numbers_never_change():
     """Each noisy ping's bytes depend on them."""
     numbers = {"speckle": 1, "gaussian": 2, "salt_and_pepper": 3, "cloud": 4}
     numbers |= {"texture": 5, "receiver": 6, "interference": 7, "dropped_beams": 8}
-    assert numbers | {"scatterers": 9} == STREAMS
+    assert numbers | {"scatterers": 9} == STREAMS, "add a new stream here, and keep the numbers of the others"
 
 
 def test_first_numbers_of_streams_never_change():

@@ -184,9 +184,9 @@ def test_a_ping_has_the_counts_of_its_sonar():
 
 def test_presets_use_the_whole_range_of_8_bits():
     for name, sonar in presets().items():
-        law = "db" if name.startswith(("aris", "didson")) else "power"
-        assert (sonar.counts.law, sonar.counts.bits) == (law, 8) and sonar.counts.gain_percentile, name
-        assert name.startswith(("aris", "didson")) or sonar.counts.exponent == 0.26, name
+        by_db, what = name.startswith(("aris", "didson")), f"{name}: name a device of other counts here"
+        assert (sonar.counts.law, sonar.counts.bits) == ("db" if by_db else "power", 8), what
+        assert sonar.counts.gain_percentile and (by_db or sonar.counts.exponent == 0.26), what
 
 
 @pytest.mark.parametrize("inline", [True, False])

@@ -40,12 +40,13 @@ def test_presets_are_complete_and_plausible(name):
     # imaging sonars form beams that touch or overlap (the DIDSON's: 29/96 = 0.302 for a nominal 0.3), except for those
     # with a lens at the lower frequency, which use every other element
     has_gaps = sonar.azimuth_fov_deg / sonar.n_beams > sonar.beam_width_deg * 1.01
-    assert has_gaps == (name in ("didson-lf", "aris-3000-lf", "aris-1800-lf", "aris-1200"))
+    known_gaps = "didson-lf", "aris-3000-lf", "aris-1800-lf", "aris-1200"
+    assert has_gaps == (name in known_gaps), "if the data sheet has gaps between beams, name the preset here"
 
 
 def test_the_limit_of_the_range_is_the_one_that_the_source_of_a_preset_states():
     without = [name for name, sonar in presets().items() if sonar.range_limit_m is None]
-    assert without == ["demarco-2015"]  # a simulated sonar
+    assert without == ["demarco-2015"], "a device has a range_limit_m"  # that one is simulated
     for name, sonar in presets().items():
         if name not in without:
             assert sonar.range_max_m <= sonar.range_limit_m
@@ -73,7 +74,9 @@ def test_unverified_numbers_are_marked():
     """All presets have numbers from memory, marked as such, except for these."""
     unverified = {name for name, sonar in presets().items() if "unverified:" in sonar.source}
     sourced = {"p900-45", "p900-90", "p900-130", "demarco-2015"}
-    assert unverified == set(presets()) - sourced
+    assert unverified == set(presets()) - sourced, (
+        "`source` of a preset must mark numbers that no document confirms by 'unverified:'; name one without any here"
+    )
 
 
 def test_floors_of_presets_are_those_of_the_same_errors_in_as_many_elements_as_their_beams_need():
@@ -87,12 +90,15 @@ def test_floors_of_presets_are_those_of_the_same_errors_in_as_many_elements_as_t
             floor_db = -35.0  # lenses
         elif name in ("demarco-2015", "ping360"):
             floor_db = None  # no array
-        assert sonar.element_error_db == (floor_db and round(floor_db)), name
+        assert sonar.element_error_db == (floor_db and round(floor_db)), (
+            f"{name}: 'Element errors' in {PRESETS.name} says how its floor follows; name a sonar without an array here"
+        )
 
 
 def test_the_readme_states_the_number_of_presets():
     readme = Path(__file__).resolve().parents[2] / "README.md"
-    assert f"; {len(presets())} presets |" in readme.read_text(encoding="utf-8")
+    stated = re.findall(r"; (\d+) presets \|", readme.read_text(encoding="utf-8"))
+    assert stated == [str(len(presets()))], "write the number of presets into the table of the README"
 
 
 def test_changing_the_returned_presets_changes_no_preset():

@@ -1,5 +1,7 @@
 """The command line as its tests call it, and the small world and sonar that they try it on."""
 
+import os
+
 from click.testing import CliRunner
 
 from sonar_gl.cli import main as cli
@@ -30,3 +32,17 @@ def run(*arguments):
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result.exit_code, result.stdout, result.stderr
+
+
+def ended(words: list[str], duration_s: float) -> list[str]:
+    """Return the words of a command, with the options that end one that would go on for ever, or that may be taken."""
+    command = cli.main
+    for word in words:
+        command = getattr(command, "commands", {}).get(word, command)
+    options = {option for parameter in command.params for option in parameter.opts}
+    more = {
+        "--duration": duration_s,
+        "--port": 0,
+        "--domain": 100 + os.getpid() % 100,
+    }  # programs beside tests have 0
+    return [*words, *(text for name, value in more.items() if name in options for text in (name, str(value)))]

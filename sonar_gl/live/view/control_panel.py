@@ -11,7 +11,7 @@ from sonar_gl.acoustics.acoustics import PROFILES, Acoustics
 from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.core.worker import Job
-from sonar_gl.imaging.fan_image import ANCHORS
+from sonar_gl.imaging.colormaps import OFFERED
 from sonar_gl.live.motion import SPEED_M_S
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
@@ -24,7 +24,6 @@ from sonar_gl.sonar.sonar import Sonar, presets
 
 KEYS, CAMERA, TRAJECTORY = "keys and gizmo", "browser's camera", "trajectory"
 NO_BODY = "none"
-COLORMAPS = (*ANCHORS, "jet", "viridis")
 OTHER = "other"
 COPY = "Copy"  # page.js has the same
 OWN = " (given)"  # follows the name of a sonar that a preset has, too
@@ -257,7 +256,7 @@ class ControlPanel:
 
     def _add_display(self, settings: LiveSettings, on_picture, on_marks) -> None:
         gui, session = self._gui, self._session
-        colormaps = tuple(dict.fromkeys((*COLORMAPS, settings.colormap)))
+        colormaps = tuple(dict.fromkeys((*OFFERED, settings.colormap)))
         with gui.add_folder("Display"):
             self._add_choice(
                 "form",

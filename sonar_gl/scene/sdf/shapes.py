@@ -11,7 +11,7 @@ import numpy as np
 from sonar_gl.core.checks import check_number
 from sonar_gl.core.errors import Error, errors_at, one_line, similar_names
 from sonar_gl.scene import mesh_files, primitives
-from sonar_gl.scene.joined_shapes import EchoingShape, body_of_shapes
+from sonar_gl.scene.joined_shapes import EchoingShape, SurfaceKind, body_of_shapes
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.primitives import Shape
 from sonar_gl.scene.reflectivity_map import textured_from_above
@@ -42,13 +42,11 @@ EXTENSIONS = "material", "reflectivity_map", "roughness", "speckle_shape", "spec
 
 
 class SurfaceProperties(NamedTuple):
-    """The surface properties of a shape, as `Body` takes them; roughness_rad is None without a lobe."""
+    """The surface properties of a shape, as `Body` takes them; roughness_rad of its kind is None without a lobe."""
 
     reflectivity: float
-    specular: float
-    roughness_rad: float | None
     material: str | None
-    speckle_shape: float | None
+    kind: SurfaceKind
 
 
 def echoing_shapes(link: Link) -> list:
@@ -128,9 +126,8 @@ def read_surface_properties(element, location: str) -> SurfaceProperties:
         roughness_rad = found.roughness_rad
     child = find_extension(element, "speckle_shape")
     speckle_shape = number(child, "sonar_gl:speckle_shape", *SPECKLE_SHAPE_BOUNDS)
-    return SurfaceProperties(
-        reflectivity, specular, roughness_rad if specular else None, found and found.name, speckle_shape
-    )
+    kind = SurfaceKind(specular, roughness_rad if specular else None, speckle_shape)
+    return SurfaceProperties(reflectivity, found and found.name, kind)
 
 
 class BodyReader:
@@ -159,7 +156,7 @@ class BodyReader:
     def read(self, link: Link, name: str) -> list[Body]:
         """Return the bodies of a link.
 
-        Shapes with the same specular lobe and texture are joined. The body of the first shape has the name `name`,
+        Shapes of one `SurfaceKind` are joined. The body of the first shape has the name `name`,
         those with others `name::shape`. Named after its model, a body has the model's pose, since what moves it by
         that name means the model; else the link's.
         """
@@ -186,15 +183,14 @@ class BodyReader:
                 self.retros.add(float(retro.text))
             if retro is None and find_extension(element, "material") is None and image is None:
                 unspecified.append(element)
-            kind = (surface.specular, surface.roughness_rad), surface.speckle_shape
-            names.setdefault(kind, f"{name}::{element.get('name')}" if groups else name)
+            names.setdefault(surface.kind, f"{name}::{element.get('name')}" if groups else name)
             shape = primitives.transform(shape, body_from_link @ matrix)
-            groups.setdefault(kind, []).append(EchoingShape(shape, reflectivity, surface.material))
+            groups.setdefault(surface.kind, []).append(EchoingShape(shape, reflectivity, surface.material))
         for found, elements in ((self.unspecified, unspecified), (self.saturated, saturated)):
             if elements:
                 found[name] = names_at_fault(name, elements, read)
         with errors_at(link.location):
-            return [body_of_shapes(names[kind], group, pose, *kind) for kind, group in groups.items()]
+            return [body_of_shapes(names[kind], group, pose, kind) for kind, group in groups.items()]
 
     def height_of_water(self, link: Link, element) -> float | None:
         """Return the height of the surface that a shape of water has, metres; None of a wall.
