@@ -76,9 +76,7 @@ class Resolution:
 
 
 class FurtherViews(NamedTuple):
-    """What a ping draws from its pose beside the whole scene: first the SceneStates to draw, then their ViewSamples.
-
-    Each is None where the ping does not need it.
+    """Views from the pose of a ping beside that of the whole scene; None where the ping does not need one.
 
     Attributes
     ----------
@@ -87,14 +85,22 @@ class FurtherViews(NamedTuple):
     texture : returns the deviation of the texture, and lobes
     """
 
-    background: SceneState | ViewSamples | None = None
-    lobes: SceneState | ViewSamples | None = None
-    texture: SceneState | ViewSamples | None = None
+    background: ViewSamples | None = None
+    lobes: ViewSamples | None = None
+    texture: ViewSamples | None = None
+
+
+class FurtherStates(NamedTuple):
+    """The SceneState of each of FurtherViews, or None."""
+
+    background: SceneState | None = None
+    lobes: SceneState | None = None
+    texture: SceneState | None = None
 
     @property
-    def needed(self) -> list:
+    def needed(self) -> list[SceneState]:
         """Those that are not None, in their order."""
-        return [one for one in self if one is not None]
+        return [state for state in self if state is not None]
 
     def drawn(self, views: Iterator[ViewSamples]) -> FurtherViews:
         """Return the views of these states, which it takes from `views` in their order."""
@@ -113,7 +119,7 @@ class DrawnPing:
     setup, resolution : PingSetup and Resolution
     view : ViewSamples of the sonar
     images : ImageSourceSamples; None without multipath
-    further : FurtherViews, drawn
+    further : FurtherViews
     """
 
     setup: PingSetup

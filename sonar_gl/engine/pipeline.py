@@ -21,7 +21,7 @@ from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.engine.adaptive import ChosenView
-from sonar_gl.engine.flow import DrawnPing, FurtherViews, PingReport, PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.flow import DrawnPing, FurtherStates, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.motion import shown_in_motion
 from sonar_gl.engine.multipath import ImageSources, ImageSourceSamples, receive_images
@@ -136,10 +136,10 @@ def draw_images(
     return sources.draw(resolution.stage, resolution.halvings, views, poses, states, gains, coarser)
 
 
-def further_states(setup: PingSetup) -> FurtherViews:
+def further_states(setup: PingSetup) -> FurtherStates:
     """Return what a ping draws beside the whole scene."""
     state = setup.state
-    return FurtherViews(
+    return FurtherStates(
         background=None if setup.background is None else state.only(setup.background[1:]),
         lobes=state.without_diffuse_echo() if setup.needs_lobes else None,
         texture=None if setup.texture is None else state.with_reflectivity(setup.texture),
