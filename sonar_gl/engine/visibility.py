@@ -26,9 +26,9 @@ MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are shor
 STAGGER = 0.618034  # of the step between points, from edge to edge: so those of parallel edges lie apart
 BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
 MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
-# The samples on many thin parts, as of a net, spread over more than so many samples in any direction, and fill less
-# than this of that area. Those on one rod lie along a line, which the sheared lattice meets evenly.
-MIN_WIDTH, MAX_FILLED = 6.0, 0.5
+# The samples on many thin parts, as of a net, spread over more than so many samples in any direction, in shorter runs
+# than these on average. Those on one rod lie along a line, which the sheared lattice meets evenly.
+MIN_WIDTH, MAX_RUN = 6.0, 3.0
 # 1/x over that of the plane of the sample there: a point at the foot of a body lies on that of the floor
 IN_FRONT = 1.001
 
@@ -83,7 +83,7 @@ class BodyCounts(NamedTuple):
     unevenness : how uncertain that sum is because neighbouring samples of the body return unlike echoes: its standard
         deviation, were they met at random
     strands : how many runs of neighbouring samples on it there are, along rows or across them, whichever are fewer;
-        0 in sectors where the samples on it fill an area, or lie along one line
+        0 in sectors where these are long, or all lie along one line
     """
 
     samples: np.ndarray
@@ -183,11 +183,9 @@ def _strands(places) -> np.ndarray:
     i, j, ii, ij, jj = sums / np.maximum(n, 1.0)
     of_i, of_j, of_both = ii - i * i, jj - j * j, ij - i * j
     least = (of_i + of_j) / 2 - np.hypot((of_i - of_j) / 2, of_both)
-    # an even strip of a width has a twelfth of its square as the variance across it, a parallelogram a twelfth of its
-    # area as the root of the determinant
-    area = 12 * np.sqrt(np.maximum(of_i * of_j - of_both * of_both, 0.0))
-    is_thin = (12 * least > MIN_WIDTH**2) & (n < MAX_FILLED * area)
-    return np.where(is_thin, np.minimum(along, across), 0.0)
+    # an even strip of a width has a twelfth of its square as the variance across it
+    strands = np.minimum(along, across)
+    return np.where((12 * least > MIN_WIDTH**2) & (n < MAX_RUN * strands), strands, 0.0)
 
 
 def body_error(samples, strands=0.0):
