@@ -175,7 +175,7 @@ def rods_before_a_wall(seed: int) -> tuple[sg.Scene, float]:
 
 
 def wires_before_a_wall(seed: int) -> tuple[sg.Scene, float]:
-    """Return a grating, a ladder or a net of thin bars, one body, before a bright wall, and a tolerance to try."""
+    """Return a grating or a net of thin bars, one body, before a bright wall, and a tolerance to try."""
     rng = np.random.default_rng([seed, 6])
     tolerance, kind = float(rng.choice([0.05, 0.02, 0.01])), rng.choice(["upright", "level", "both"])
     x, radius = rng.uniform(3, 13), 10 ** rng.uniform(-3, -2)
