@@ -49,7 +49,7 @@ DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's o
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
 UNEVEN_FACTOR = 1.5  # of the standard deviation of an echo whose faces return unlike shares
 # With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
-MAX_COMPARED_SAMPLES = 300
+MAX_COMPARED_SAMPLES = 1000
 MAX_STEPS = 8  # at a time: estimates from very few samples are rough
 
 
@@ -199,8 +199,9 @@ class ErrorModel:
         found = count_bodies(view.sectors, len(self.bodies), self._reception(stage))
         # Most of the echo of a round smooth body is that of few samples, and none of it may have met the glint. Other
         # bodies of one reflectivity err along their outlines, which the number of samples tells of.
+        shares = extents.glint_shares
         counts = BodyCounts(
-            found.samples * extents.glint_shares, found.echo, found.unevenness * extents.by_face
+            found.samples * shares, found.echo, found.unevenness * extents.by_face, found.strands * shares
         )
         return TriedView(stage, view, echo, counts)
 
@@ -244,14 +245,14 @@ class ErrorModel:
 
         By the samples that met it, and by how the two lattices differ.
         """
-        hits, echo, unevenness = tried.counts
+        hits, echo, unevenness, strands = tried.counts
         counts = self._counting_bodies(setup, tried)
         factor = DIFFERENCE_FACTOR * share_of_difference(coarser, BODY_ERROR_RATE)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
         apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)
         uneven = UNEVEN_FACTOR * unevenness / np.maximum(echo, 1e-30)
         shown = np.minimum(np.maximum(apart, uneven), 1.0)
-        errors = np.maximum(body_error(np.maximum(hits, 1.0)), shown) * counts
+        errors = np.maximum(body_error(np.maximum(hits, 1.0), strands), shown) * counts
         if not counts.any():
             return ErrorEstimate(0.0, -math.inf)
         worst = int(errors.argmax())
@@ -265,7 +266,7 @@ class ErrorModel:
         is hidden.
         """
         bodies, state, pose = self.bodies, setup.state, setup.head_pose
-        sectors, (hits, echo, _) = tried.view.sectors, tried.counts
+        sectors, (hits, echo, *_) = tried.view.sectors, tried.counts
         total, reception = echo.sum(), self._reception(tried.stage)
         counts = echo > MIN_ECHO_SHARE * total
         could_count = self._extents.greatest_echo(state, pose, reception) > MIN_ECHO_SHARE * total

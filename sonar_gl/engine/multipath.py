@@ -260,6 +260,7 @@ class ImageSources:
                     samples=np.concatenate([counts[k].samples * times_fewer for k in mine]),
                     echo=np.concatenate([counts[k].echo for k in mine]),
                     unevenness=np.concatenate([counts[k].unevenness for k in mine]),
+                    strands=np.concatenate([counts[k].strands for k in mine]),
                 ),
                 single_bounce=self._single_bounce,
                 own=own,

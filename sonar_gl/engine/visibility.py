@@ -26,6 +26,9 @@ MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are shor
 STAGGER = 0.618034  # of the step between points, from edge to edge: so those of parallel edges lie apart
 BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
 MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
+# The samples on many thin parts, as of a net, spread over more than so many samples in any direction, in shorter runs
+# than these on average. Those on one rod lie along a line, which the sheared lattice meets evenly.
+MIN_WIDTH, MAX_RUN = 6.0, 3.0
 # 1/x over that of the plane of the sample there: a point at the foot of a body lies on that of the floor
 IN_FRONT = 1.001
 
@@ -79,16 +82,19 @@ class BodyCounts(NamedTuple):
     echo : about the sum of its echo with the gain
     unevenness : how uncertain that sum is because neighbouring samples of the body return unlike echoes: its standard
         deviation, were they met at random
+    strands : how many runs of neighbouring samples on it there are, along rows or across them, whichever are fewer;
+        0 in sectors where these are long, or all lie along one line
     """
 
     samples: np.ndarray
     echo: np.ndarray
     unevenness: np.ndarray
+    strands: np.ndarray
 
 
 @compiled
 def _count_samples(
-    samples, lattice, sines, widest, received_u, bins, gain, elevation_table, counts, echo, unlike
+    samples, lattice, sines, widest, received_u, bins, gain, elevation_table, counts, echo, unlike, places
 ):
     """Add the samples of one sector to (bodies + 1,) counts and sums of μ cos θ ΔΩ G.
 
@@ -99,6 +105,8 @@ def _count_samples(
     bins : (2,) start of the first bin, metres, and bins per metre
     elevation_table : of `Beamformer`, taken at the nearest sine
     unlike : (2, bodies + 1), filled with the squared differences of neighbours on one body, along rows and across
+    places : (bodies + 1, 8), filled with the number of samples, of runs along rows and across them, and the sums of
+        i, j, i², i j and j² of the samples in column i and row j
     """
     plane_echo, body_id = samples
     (u, v, tan_low, tan_high, columns, sine, cosine), (r_first, per_metre) = lattice, bins
@@ -138,30 +146,58 @@ def _count_samples(
                 echo[body] += returned
                 if body == body_left:
                     unlike[0, body] += (returned - beside) ** 2
+                else:
+                    places[body, 1] += 1.0
                 if body == body_over:
                     unlike[1, body] += (returned - over) ** 2
+                else:
+                    places[body, 2] += 1.0
+                places[body, 0] += 1.0
+                places[body, 3] += i
+                places[body, 4] += j
+                places[body, 5] += i * i
+                places[body, 6] += i * j
+                places[body, 7] += j * j
                 beside, body_beside, above[i], body_above[i] = returned, body, returned, body
 
 
 def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Reception) -> BodyCounts:
     """Count the samples on each body, and about the echo of each."""
     counts, echo, unlike = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1), np.zeros((2, n_bodies + 1))
+    strands = np.zeros(n_bodies + 1)
     bins = reception.sonar.range_min_m, 1.0 / reception.sonar.bin_size_m
     gains = reception.gain, reception.elevation_table
     for one, received in zip(samples, reception.received_u, strict=True):
         arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
         limits = one.sector.strips.sines, math.tan(one.sector.half_width_rad), received
-        _count_samples(arrays, one.lattice, *limits, bins, *gains, counts, echo, unlike)
+        places = np.zeros((n_bodies + 1, 8))
+        _count_samples(arrays, one.lattice, *limits, bins, *gains, counts, echo, unlike, places)
+        strands += _strands(places)
     # half the mean square of the differences of two is their variance; stripes show across them alone
-    return BodyCounts(counts, echo, np.sqrt(unlike.max(axis=0) / 2))
+    return BodyCounts(counts, echo, np.sqrt(unlike.max(axis=0) / 2), strands)
 
 
-def body_error(samples):
+def _strands(places) -> np.ndarray:
+    """Return the strands of `BodyCounts` in one sector; places : of `_count_samples`."""
+    n, along, across, *sums = places.T
+    i, j, ii, ij, jj = sums / np.maximum(n, 1.0)
+    of_i, of_j, of_both = ii - i * i, jj - j * j, ij - i * j
+    least = (of_i + of_j) / 2 - np.hypot((of_i - of_j) / 2, of_both)
+    # an even strip of a width has a twelfth of its square as the variance across it
+    strands = np.minimum(along, across)
+    return np.where((12 * least > MIN_WIDTH**2) & (n < MAX_RUN * strands), strands, 0.0)
+
+
+def body_error(samples, strands=0.0):
     """Return the relative error of a body's echo by its samples: few may all lie along a thin body, or beside it.
 
-    It decreases as n^-0.75, the law of stratified sampling in two dimensions. Fitted to random worlds.
+    Stratified samples err along an outline only. Of n samples on a compact body about √n lie there, and the error
+    decreases as n^-0.75, the root of √n over n. On many thin wires nearly all do. Fitted to random worlds.
+
+    strands : of `BodyCounts`
     """
-    return BODY_ERROR_FACTOR * (1 + MIN_BODY_SAMPLES / samples) / samples**BODY_ERROR_RATE
+    compact = BODY_ERROR_FACTOR * (1 + MIN_BODY_SAMPLES / samples) / samples**BODY_ERROR_RATE
+    return compact * np.sqrt(np.maximum(strands / np.sqrt(samples), 1.0))
 
 
 def is_unobstructed(

@@ -463,6 +463,31 @@ def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
     assert found.samples.tolist() == [0, expected]
 
 
+@pytest.mark.parametrize(
+    "is_met, strands",
+    [
+        (lambda i, j: (i < 20) & (j < 12), 0),
+        (lambda i, j: (i < 30) & (j < 20) & ((i + 2 * j) % 5 == 0), 120),
+        (lambda i, j: (i < 40) & (j < 40) & (i == j), 0),
+    ],
+    ids=["box", "net", "wire"],
+)
+def test_strands_are_the_runs_of_samples_on_a_body_of_many_thin_parts(is_met, strands):
+    fan = make_fan(SONAR, sg.Sampling(2, 60), BeamShape(0.0))
+    (sector,) = fan.sectors
+    u, v = sector.sample_coordinates()
+    j, i = np.indices(u.shape)
+    is_on = (i >= 40) & (j >= 10) & is_met(i - 40, j - 10)
+    q = np.sqrt(1 + u * u + v * v) / 5
+    plane_echo = np.stack([q, 0 * q, 0 * q, is_on], axis=-1).astype(np.float32)
+    samples = [SectorSamples(sector, plane_echo, is_on.astype(np.uint16))]
+    gain = np.ones(SONAR.n_bins, np.float32)
+    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, np.empty(0), [np.empty(0)])
+    found = count_bodies(samples, 1, reception)
+    assert found.samples[1] == is_on.sum()
+    assert found.strands.tolist() == [0, strands]
+
+
 def with_gaps(rod_deg, range_m, *more):
     """Return a ping of a rod before a wall by boxes of 0.6 degrees every 2 degrees, one of them at 3 degrees."""
     sonar = sg.Sonar("gaps", 900e3, 24, 200, 48.0, 20.0, 0.6, 0.5, 12.0)

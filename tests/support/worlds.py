@@ -174,4 +174,25 @@ def rods_before_a_wall(seed: int) -> tuple[sg.Scene, float]:
     return sg.Scene(bodies), tolerance
 
 
+def wires_before_a_wall(seed: int) -> tuple[sg.Scene, float]:
+    """Return a grating or a net of thin bars, one body, before a bright wall, and a tolerance to try."""
+    rng = np.random.default_rng([seed, 6])
+    tolerance, kind = float(rng.choice([0.05, 0.02, 0.01])), rng.choice(["upright", "level", "both"])
+    x, radius = rng.uniform(3, 13), 10 ** rng.uniform(-3, -2)
+    spacing = max(10 ** rng.uniform(-1.5, -0.7), 4 * radius)
+    width, height = rng.uniform(0.05, 0.25, 2) * x
+    bars = []
+    for length, across, turn in ((height, width, 0.0), (width, height, np.pi / 2)):
+        if kind == ("level" if turn == 0 else "upright"):
+            continue
+        for place in np.arange(-across / 2, across / 2, spacing):
+            bar = trimesh.creation.box((2 * radius, 2 * radius, length))
+            bar.apply_transform(sg.pose(0, place, 0))
+            bars.append(bar.apply_transform(sg.pose(roll=turn)))
+    turned = rng.choice([0.0, 0.05, 0.5]) * rng.uniform(-1, 1, 3)
+    net = sg.Body("net", trimesh.util.concatenate(bars), sg.pose(x, *rng.uniform(-0.3, 0.3, 2), *turned))
+    wall = sg.Body("wall", trimesh.creation.box((1, 30, 30)), sg.pose(15.5), 10 ** rng.uniform(-1, 0))
+    return sg.Scene([net, wall]), tolerance
+
+
 ROD_SONAR = sg.Sonar("narrow", 900e3, 24, 160, 18.0, 18.0, 2.0, 0.5, 16.5)
