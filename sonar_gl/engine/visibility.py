@@ -29,6 +29,9 @@ MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
 # The samples on many thin parts, as of a net, spread over more than so many samples in any direction, in shorter runs
 # than these on average. Those on one rod lie along a line, which the sheared lattice meets evenly.
 MIN_WIDTH, MAX_RUN = 6.0, 3.0
+# Sums over the samples on a body: how many, and how many runs of neighbours along rows and across them; moments of the
+# columns i and rows j.
+N, ALONG, ACROSS, I, J, II, IJ, JJ = range(8)
 # 1/x over that of the plane of the sample there: a point at the foot of a body lies on that of the floor
 IN_FRONT = 1.001
 
@@ -105,8 +108,7 @@ def _count_samples(
     bins : (2,) start of the first bin, metres, and bins per metre
     elevation_table : of `Beamformer`, taken at the nearest sine
     unlike : (2, bodies + 1), filled with the squared differences of neighbours on one body, along rows and across
-    places : (bodies + 1, 8), filled with the number of samples, of runs along rows and across them, and the sums of
-        i, j, i², i j and j² of the samples in column i and row j
+    places : (bodies + 1, 8), filled with the sums N..JJ
     """
     plane_echo, body_id = samples
     (u, v, tan_low, tan_high, columns, sine, cosine), (r_first, per_metre) = lattice, bins
@@ -147,17 +149,17 @@ def _count_samples(
                 if body == body_left:
                     unlike[0, body] += (returned - beside) ** 2
                 else:
-                    places[body, 1] += 1.0
+                    places[body, ALONG] += 1.0
                 if body == body_over:
                     unlike[1, body] += (returned - over) ** 2
                 else:
-                    places[body, 2] += 1.0
-                places[body, 0] += 1.0
-                places[body, 3] += i
-                places[body, 4] += j
-                places[body, 5] += i * i
-                places[body, 6] += i * j
-                places[body, 7] += j * j
+                    places[body, ACROSS] += 1.0
+                places[body, N] += 1.0
+                places[body, I] += i
+                places[body, J] += j
+                places[body, II] += i * i
+                places[body, IJ] += i * j
+                places[body, JJ] += j * j
                 beside, body_beside, above[i], body_above[i] = returned, body, returned, body
 
 
@@ -170,7 +172,7 @@ def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Rec
     for one, received in zip(samples, reception.received_u, strict=True):
         arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
         limits = one.sector.strips.sines, math.tan(one.sector.half_width_rad), received
-        places = np.zeros((n_bodies + 1, 8))
+        places = np.zeros((n_bodies + 1, JJ + 1))
         _count_samples(arrays, one.lattice, *limits, bins, *gains, counts, echo, unlike, places)
         strands += _strands(places)
     # half the mean square of the differences of two is their variance; stripes show across them alone
@@ -179,8 +181,8 @@ def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Rec
 
 def _strands(places) -> np.ndarray:
     """Return the strands of `BodyCounts` in one sector; places : of `_count_samples`."""
-    n, along, across, *sums = places.T
-    i, j, ii, ij, jj = sums / np.maximum(n, 1.0)
+    n, along, across = places[:, N], places[:, ALONG], places[:, ACROSS]
+    i, j, ii, ij, jj = places[:, I:].T / np.maximum(n, 1.0)
     of_i, of_j, of_both = ii - i * i, jj - j * j, ij - i * j
     least = (of_i + of_j) / 2 - np.hypot((of_i - of_j) / 2, of_both)
     # an even strip of a width has a twelfth of its square as the variance across it
