@@ -35,8 +35,8 @@ _collections: ContextVar[tuple[_Collection, ...]] = ContextVar("collections of w
 def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
     """Issue a warning, safe to print, for the nearest stack frame outside of sonar_gl and of `dataclasses.replace`.
 
-    Where this thread is inside `collected_warnings` of its category, it is collected in place of being shown. A text that
-    Python shows once per line may be shown again after MOST_TEXTS others.
+    Where this thread is inside `collected_warnings` of its category, it is collected in place of being shown. Where
+    Python shows a text once per line, it may show it again after MOST_TEXTS others.
     """
     text = escape_controls(message)
     for collection in _collections.get():
