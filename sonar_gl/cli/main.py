@@ -8,6 +8,7 @@ from __future__ import annotations
 import _thread
 import errno
 import json
+import os
 import signal
 import sys
 import threading
@@ -44,6 +45,7 @@ class CommandGroup(click.Group):
             with _interrupts(), warnings.catch_warnings():
                 warnings.simplefilter("always", UserWarning)
                 warnings.showwarning = _one_line_warnings()
+                _check_threads()
                 super().invoke(ctx)
         except KeyboardInterrupt as why:  # commands that write files say what is with these
             message, status = "; ".join(["interrupted", *map(str, why.args)]), 130
@@ -63,6 +65,16 @@ class CommandGroup(click.Group):
             with suppress(OSError):  # a log on a full disk; the status says at least that the command failed
                 echo(f"error: {message}", err=True)
             ctx.exit(status)
+
+
+def _check_threads() -> None:
+    """Raise Error for a number of threads with which Numba cannot be imported."""
+    try:
+        number = int(os.environ["NUMBA_NUM_THREADS"])
+    except (KeyError, ValueError):  # of no number Numba warns, and takes its own
+        return
+    if number < 1:
+        raise Error(f"NUMBA_NUM_THREADS must be 1 or more, or unset (got {number}; unset it)")
 
 
 @contextmanager

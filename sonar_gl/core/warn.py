@@ -11,6 +11,10 @@ from typing import NamedTuple
 
 from sonar_gl.core.errors import escape_controls
 
+MOST_TEXTS = (
+    1000  # that Python remembers of a module; some are new with each ping, as where distances are in them
+)
+
 
 class CollectedWarning(NamedTuple):
     """A warning that was collected in place of being shown."""
@@ -31,7 +35,8 @@ _collections: ContextVar[tuple[_Collection, ...]] = ContextVar("collections of w
 def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
     """Issue a warning, safe to print, for the nearest stack frame outside of sonar_gl and of `dataclasses.replace`.
 
-    Where this thread is inside `collected_warnings` of its category, it is collected in place of being shown.
+    Where this thread is inside `collected_warnings` of its category, it is collected in place of being shown. Where
+    Python shows a text once per line, it may show it again after MOST_TEXTS others.
     """
     text = escape_controls(message)
     for collection in _collections.get():
@@ -44,6 +49,10 @@ def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
     ):
         level, frame = level + 1, frame.f_back
     warnings.warn(text, category, stacklevel=level)
+    # Python never forgets a text that it has shown: of pings of empty water, for weeks, it would keep gigabytes
+    remembered = frame.f_globals.get("__warningregistry__", {})
+    if len(remembered) > MOST_TEXTS:
+        remembered.clear()
 
 
 @contextmanager

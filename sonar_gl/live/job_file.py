@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from itertools import count
 from pathlib import Path
 
@@ -118,7 +119,7 @@ def _from_anywhere(text: str) -> str:
     """Return a text of `load_sonar` with an absolute path, since paths in a job start at its folder."""
     if text.partition(",")[0].strip().casefold() in presets():
         return text
-    return str(Path(text).expanduser().absolute())
+    return str(Path(os.path.expanduser(text)).absolute())  # as `load_sonar` of a command has it
 
 
 def _toml(value) -> str:

@@ -637,6 +637,14 @@ def test_unknown_scene_and_sonar_name_the_nearest():
     )
 
 
+def test_a_number_of_threads_without_which_numba_is_not_loaded():
+    """Early versions ended in Numba's traceback, which does not name the variable."""
+    for text in ("0", "-2"):
+        done = python("-m", "sonar_gl", "plan", "pylon", environment={"NUMBA_NUM_THREADS": text})
+        message = f"NUMBA_NUM_THREADS must be 1 or more, or unset (got {text}; unset it)"
+        assert (done.returncode, done.stderr) == (2, f"error: {message}\n")
+
+
 def test_scene_files_that_cannot_be_read():
     Path("broken.sdf").write_text("<sdf><world>\n<model></sdf>")
     assert refused(scene="broken.sdf") == "broken.sdf: line 2, column 10: broken XML (mismatched tag)"

@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 
-from sonar_gl.core.warn import collected_warnings, warn_caller
+from sonar_gl.core.warn import MOST_TEXTS, collected_warnings, warn_caller
 from tests.support.waiting import WAIT_S
 
 
@@ -49,6 +49,17 @@ def test_a_warning_names_the_line_of_the_caller():
         warnings.simplefilter("always")
         warn_caller("here")
     assert shown[0].filename == __file__
+
+
+def test_python_does_not_remember_all_texts_that_differ():
+    """As of a sonar that moves for weeks through water without an echo: each says another distance."""
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("default")
+        for number in range(3 * MOST_TEXTS):
+            warn_caller(f"the nearest surface lies at {number} m")
+            warn_caller("shown once")
+    assert len(globals()["__warningregistry__"]) <= MOST_TEXTS
+    assert len(shown) < 3 * MOST_TEXTS + 10
 
 
 def test_blocks_of_two_threads_that_overlap_change_nothing_for_each_other_or_for_the_process():

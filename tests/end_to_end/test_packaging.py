@@ -139,6 +139,21 @@ def test_the_checkout_finds_its_files_from_anywhere():
     assert {Path(path) for path in found["scenes"]} == set((ROOT / "scenes").glob("*.sdf"))
 
 
+def test_a_zip_archive_is_said_to_be_no_place_for_the_package(tmp_path):
+    """Its shaders, scenes and machine code are files; lazy_loader told of a non-existent stub."""
+    archive = tmp_path / "all.zip"
+    with ZipFile(archive, "w") as packed:
+        for name, path in sources().items():
+            packed.write(path, name)
+    environment = {**os.environ, "PYTHONPATH": str(archive)}
+    command = [sys.executable, "-c", "import sonar_gl"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    (last,) = done.stderr.splitlines()[-1:]
+    assert last.startswith(
+        "ImportError: sonar_gl must lie in a folder with all of its files, as pip installs it ("
+    )
+
+
 def test_versions_agree(installed):
     (distribution,) = metadata.distributions(name="sonar_gl", path=[str(installed)])
     assert distribution.version == look_around(installed)["version"] == sonar_gl.__version__

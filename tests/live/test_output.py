@@ -413,7 +413,7 @@ def test_poses_become_a_job_that_batch_takes(session, tmp_path):
     assert f"p900_45 in pylon: {beams} beams x {bins} bins" in done.output
 
 
-@pytest.mark.parametrize("text", ["mine.toml", "mine.toml#b,tilt_deg=5", "~/mine.toml#b"])
+@pytest.mark.parametrize("text", ["mine.toml", "mine.toml#b,tilt_deg=5", "~/mine.toml#b", "~mine.toml"])
 def test_a_new_job_names_the_users_sonar_as_it_is_found_from_its_folder(scene, tmp_path, monkeypatch, text):
     (tmp_path / "home").mkdir()
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
@@ -422,9 +422,9 @@ def test_a_new_job_names_the_users_sonar_as_it_is_found_from_its_folder(scene, t
         "frequency_hz=9e5\nn_beams=32\nn_bins=64\nazimuth_fov_deg=30.0\nelevation_fov_deg=20.0\n"
         "beam_width_deg=1.0\nrange_min_m=0.5\nrange_max_m=20.0\n"
     )
-    path = tmp_path / ("home" if "~" in text else "") / "mine.toml"
+    path = tmp_path / text.partition("#")[0].partition(",")[0].replace("~/", "home/")
     path.write_text(f"[a]\n{keys}[b]\n{keys}" if "#" in text else keys)
-    own = load_sonar(text.replace("~", str(tmp_path / "home")))
+    own = load_sonar(text.replace("~/", f"{tmp_path}/home/"))
     source = SceneSource("pylon", sonar=text, loaded=own)
     with LiveSession(scene, LiveSettings(own), START, folder=tmp_path / "out", source=source) as session:
         (named,) = read_toml(session.output.add_pose_to_job(session.next_frame()), "the job file")["sonars"]

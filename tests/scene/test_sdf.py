@@ -898,6 +898,19 @@ def test_a_file_that_stands_for_a_model_of_fuel_of_its_own_name(tmp_path):
     assert f'gz fuel download -u "{FUEL}"' in str(caught.value)
 
 
+def test_a_user_without_a_home_is_told_what_is_missing(tmp_path, monkeypatch):
+    """As in a container. pathlib raises a RuntimeError of a home that it cannot find."""
+    for key, value in {"GZ_FUEL_CACHE_PATH": "~nobody-of-this-name/fuel", "IGN_FUEL_CACHE_PATH": ""}.items():
+        monkeypatch.setenv(key, value)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # what Python does without a home
+    path = write(tmp_path / "a.sdf", f"<include><uri>{FUEL}</uri></include>")
+    with pytest.raises(
+        Error, match=r"(?s)models or files are missing:.*not at ~nobody-of-this-name/fuel/fuel\."
+    ) as caught:
+        read_sdf(path)
+    assert "~/.ignition/fuel/" in str(caught.value)
+
+
 def test_a_file_of_a_model_of_fuel(tmp_path, read):
     kept = tmp_path / "gz" / "fuel.gazebosim.org" / "openrobotics" / "models" / "big rock" / "1"
     kept.mkdir(parents=True)

@@ -44,8 +44,11 @@ FUEL_CACHES = {  # environment variable: where the cache is without it
 
 
 def fuel_caches() -> list[Path]:
-    """Return the folders in which Gazebo keeps the models that it has downloaded."""
-    return [Path(os.environ.get(key) or usual).expanduser() for key, usual in FUEL_CACHES.items()]
+    """Return the folders in which Gazebo keeps the models that it has downloaded.
+
+    They keep their "~" for a user without a home, as in a container, of which `Path.expanduser` raises a RuntimeError.
+    """
+    return [Path(os.path.expanduser(os.environ.get(key) or usual)) for key, usual in FUEL_CACHES.items()]
 
 
 def built_in_model(uri: str) -> str | None:
