@@ -137,7 +137,7 @@ def test_random_worlds():
     hits, others, echoes = np.sum(found, axis=0)
     assert hits > 200_000
     assert others <= 1e-5 * hits
-    assert echoes <= 1e-4 * hits
+    assert echoes <= 1e-5 * hits
 
 
 @pytest.mark.usefixtures("driver")
@@ -148,10 +148,10 @@ def test_bundled_scenes(name):
     samples, drawn = both_engines(scene, sonar, scene.sonar_pose)
     hits, others, echoes = compare(scene, sonar, scene.sonar_pose, samples, drawn)
     assert hits > 20_000
-    # the outline of a bright pile in the harbour passes two samples by less than the driver's snapping
+    # the outline of a bright pile in the harbour passes a sample by less than rounding of its corners to float32
     on_edges = 1e-4 if name == "harbour" else 0
-    assert others <= on_edges * hits
-    assert echoes <= 2e-4 * hits
+    assert others <= (name == "harbour")
+    assert echoes <= 2
     sums = [sum(float(plane_echo[..., 3].sum()) for _, plane_echo, *_ in views) for views in (samples, drawn)]
     assert sums[0] == pytest.approx(sums[1], rel=1e-4 + on_edges)
 
@@ -230,6 +230,13 @@ def test_a_sample_on_an_edge_is_of_one_face_alone(spacing, off_grid):
     found, n = differing(sg.Scene([uneven_sheet(rng, spacing, -4, off_grid)]))
     assert n > 10_000
     assert found <= 2
+
+
+@pytest.mark.usefixtures("driver")
+def test_the_driver_does_not_move_edges_that_leave_the_sector():
+    """It rounded where they met the sides of the viewport, which were those of the sector."""
+    rng = np.random.default_rng(1)
+    assert sum(differing(sg.Scene([uneven_sheet(rng, 9, 20, 4.0)]))[0] for _ in range(12)) <= 1
 
 
 def worlds():
