@@ -137,7 +137,7 @@ def test_random_worlds():
     hits, others, echoes = np.sum(found, axis=0)
     assert hits > 200_000
     assert others <= 1e-5 * hits
-    assert echoes <= 1e-4 * hits
+    assert echoes <= 1e-5 * hits
 
 
 @pytest.mark.usefixtures("driver")
@@ -148,10 +148,10 @@ def test_bundled_scenes(name):
     samples, drawn = both_engines(scene, sonar, scene.sonar_pose)
     hits, others, echoes = compare(scene, sonar, scene.sonar_pose, samples, drawn)
     assert hits > 20_000
-    # the outline of a bright pile in the harbour passes two samples by less than the driver's snapping
+    # the outline of a bright pile in the harbour passes a sample by less than rounding of its corners to float32
     on_edges = 1e-4 if name == "harbour" else 0
-    assert others <= on_edges * hits
-    assert echoes <= 2e-4 * hits
+    assert others <= (name == "harbour")
+    assert echoes <= 2
     sums = [sum(float(plane_echo[..., 3].sum()) for _, plane_echo, *_ in views) for views in (samples, drawn)]
     assert sums[0] == pytest.approx(sums[1], rel=1e-4 + on_edges)
 
@@ -179,6 +179,64 @@ def ball(name, at, reflectivity=0.5, radius=1.0, smooth=False):
 
 def floor(width=400.0, at=-2.0):
     return sg.Body("floor", primitives.plane(size=(width, width))[0], sg.pose(z=at, roll=0.02, yaw=0.3), 0.4)
+
+
+NARROW = replace(SONAR, azimuth_fov_deg=50.0)  # one sector
+
+
+def uneven_sheet(rng, spacing, border, off_grid):
+    """Return a body whose vertices lie before a sector of `NARROW`: (name, mesh).
+
+    Parameters
+    ----------
+    spacing : of vertices, in samples
+    border : how many samples the sheet ends beyond the sector's first and last, in samples
+    off_grid : how far vertices lie beside samples at most, in samples
+    """
+    ((sector, *_),) = draw_sectors(sg.Scene([ball("ball", sg.pose(5))]), NARROW, np.eye(4), "cpu")
+    ends = [
+        np.arange(-border, n + border + spacing, spacing, dtype=float) for n in (sector.columns, sector.rows)
+    ]
+    columns, rows = (one.ravel() for one in np.meshgrid(*ends, indexing="ij"))
+    n_columns, n_rows = map(len, ends)
+    columns, rows = (one + rng.uniform(-off_grid, off_grid, one.shape) for one in (columns, rows))
+    u, v = (w[0] + w[1] * columns + w[2] * rows for w in (sector.u, sector.v))
+    rays = np.stack([np.ones_like(u), -u, v], axis=-1) @ sector.rotation()
+    points = rays * rng.uniform(6.0, 9.0, len(u))[:, None]
+    first = np.arange(n_columns * n_rows).reshape(n_columns, n_rows)[:-1, :-1].ravel()
+    a, b, c, d = first, first + n_rows, first + n_rows + 1, first + 1
+    turn = rng.random(len(first)) < 0.5  # which of its diagonals divides a cell
+    faces = [
+        np.where(turn, one, other) for one, other in zip((a, b, c, a, c, d), (a, b, d, b, c, d), strict=True)
+    ]
+    faces = np.stack(faces, axis=-1).reshape(-1, 3)
+    return sg.Body("sheet", trimesh.Trimesh(points, faces, process=False), reflectivity=0.4)
+
+
+def differing(scene):
+    """Return how many samples are of another face in one engine than in the other, and how many there are."""
+    ((_, here, _),), ((_, there, _),) = both_engines(scene, NARROW, np.eye(4))
+    inverse, echo = (
+        np.abs(here - there)[..., k] / np.maximum(here, there)[..., k].clip(1e-9) for k in (0, 3)
+    )
+    return int(((inverse > 1e-3) | (echo > 0.05)).sum()), inverse.size
+
+
+@pytest.mark.usefixtures("driver")
+@pytest.mark.parametrize("spacing, off_grid", [(2, 0), (6, 0), (12, 0), (3, 1 / 256)])
+def test_a_sample_on_an_edge_is_of_one_face_alone(spacing, off_grid):
+    """Both engines give it to the same one. The engine `cpu` gave it to the one that is nearer by rounding."""
+    rng = np.random.default_rng(0)
+    found, n = differing(sg.Scene([uneven_sheet(rng, spacing, -4, off_grid)]))
+    assert n > 10_000
+    assert found <= 2
+
+
+@pytest.mark.usefixtures("driver")
+def test_the_driver_does_not_move_edges_that_leave_the_sector():
+    """It rounded where they met the sides of the viewport, which were those of the sector."""
+    rng = np.random.default_rng(1)
+    assert sum(differing(sg.Scene([uneven_sheet(rng, 9, 20, 4.0)]))[0] for _ in range(12)) <= 1
 
 
 def worlds():

@@ -32,7 +32,8 @@ FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its pe
 # Height of a triangle, in samples, below which rounding of its corners to float32 decides its plane: 6e-8 of columns
 # and rows up to some thousands.
 THINNEST = 1e-4
-ON_EDGE = 1e-6  # of a sample: rounding of the ends of rows
+HALF_STEP = 0.5 / GRID**2  # of what tells on which side of an edge between corners on the grid a sample lies
+ON_EDGE = 1e-6  # of a sample: rounding of the ends of rows where corners are not on the grid
 
 
 class PatchFaces(NamedTuple):
@@ -187,9 +188,9 @@ def _fill_rows(cuts, n_cuts, window, bottom, top, form, t, depth, triangle, ends
     for k in range(n_cuts):
         g0, g1, g2 = cuts[k, 0], cuts[k, 1], cuts[k, 2]
         if g1 > 0.0:  # where rows begin
-            ends[k, 0], ends[k, 1], ends[k, 2] = 1.0, -g2 / g1, -g0 / g1 - ON_EDGE
+            ends[k, 0], ends[k, 1], ends[k, 2] = 1.0, -g2 / g1, -g0 / g1
         elif g1 < 0.0:  # where they end
-            ends[k, 0], ends[k, 1], ends[k, 2] = -1.0, -g2 / g1, -g0 / g1 + ON_EDGE
+            ends[k, 0], ends[k, 1], ends[k, 2] = -1.0, -g2 / g1, -g0 / g1
         else:
             ends[k, 0], ends[k, 1], ends[k, 2] = 0.0, g2, g0
     for row in range(bottom, top + 1):
@@ -248,13 +249,26 @@ def _is_outside(box, p, window):
 
 
 @inlined
+def _toward(g1, g2):
+    """Return half a step, negative where a sample on an edge is not of the side to which g1 column + g2 row rises."""
+    return HALF_STEP if g1 > 0.0 or (g1 == 0.0 and g2 > 0.0) else -HALF_STEP
+
+
+@inlined
 def _half_planes(ax, ay, bx, by, cx, cy, area):
-    """Return (e, f, g): a sample lies inside a triangle where all of e[0] + e[1] column + e[2] row are positive."""
+    """Return (e, f, g): a sample lies inside a triangle where all of e[0] + e[1] column + e[2] row are positive.
+
+    A sample on an edge is that of the triangle to the right of the edge, or above it, as of drivers. At samples these
+    sums are whole numbers of 1 / GRID², but for half a step, so that their rounding decides nothing.
+    """
     side = 1.0 if area > 0.0 else -1.0
     e1, e2 = -side * (by - ay), side * (bx - ax)
     f1, f2 = -side * (cy - by), side * (cx - bx)
     g1, g2 = -side * (ay - cy), side * (ax - cx)
-    return (-e1 * ax - e2 * ay, e1, e2), (-f1 * bx - f2 * by, f1, f2), (-g1 * cx - g2 * cy, g1, g2)
+    e0 = _toward(e1, e2) - e1 * ax - e2 * ay
+    f0 = _toward(f1, f2) - f1 * bx - f2 * by
+    g0 = _toward(g1, g2) - g1 * cx - g2 * cy
+    return (e0, e1, e2), (f0, f1, f2), (g0, g1, g2)
 
 
 @inlined
@@ -469,6 +483,7 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
                 n_cuts = 4
                 bottom, top = j0, j1
             if n_cuts:
+                first_off_grid = 3 if n_cuts == 3 else 0
                 if not plain:
                     cuts[n_cuts, 0], cuts[n_cuts, 1], cuts[n_cuts, 2] = (
                         form[0] - 1.0 / far_m,
@@ -479,6 +494,8 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
                 if cut:
                     _cut_by_clip_plane(plane, view, form, cuts, n_cuts)
                     n_cuts += 1
+                for o in range(first_off_grid, n_cuts):
+                    cuts[o, 0] += ON_EDGE * abs(cuts[o, 1])
                 n_tried = _fill_rows(
                     cuts, n_cuts, window, bottom, top, form, np.int32(n), depth, triangle, ends
                 )

@@ -29,6 +29,7 @@ from sonar_gl.raster.views import (
 )
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
 from sonar_gl.sonar.samples import ViewSamples
+from sonar_gl.sonar.sector import Sector
 
 LAYOUTS = (4, "f4"), (1, "u2")  # components and type of each attachment
 DEPTH_BYTES = 4
@@ -37,6 +38,10 @@ NOT_READ = np.full(1, np.nan, np.float32)  # stays in place of 1/x where a lost 
 # would keep the memory of a fine one; not below MIN_PIXELS, 3 MB.
 MAX_PIXELS_PER_USED, MIN_PIXELS = 2, 1 << 16
 MAX_KEPT_PIXELS = 1 << 18  # 10 MB
+# Columns and rows about a sector, over its own, that its viewport has, too; the scissor leaves them out. A software
+# driver cuts triangles at the viewport, and rounds where their edges meet it, so that these move by up to 1/256 of a
+# sample. Cut much further away, edges that come from behind the sonar move by more: the ends that remain are float32.
+BORDER = 1
 
 
 class SectorDraws(NamedTuple):
@@ -305,7 +310,9 @@ class OpenGLRenderer:
         for view, (first, n_closed, n, window) in zip(self._sectors, draws, strict=True):
             if n:
                 sector, (i, j, columns, n_rows) = view.sector, window
-                framebuffer.viewport = (left - i, -j, sector.columns, sector.rows)
+                side, end = self._border_of(sector)
+                size = sector.columns + 2 * side, sector.rows + 2 * end
+                framebuffer.viewport = (left - i - side, -j - end, *size)
                 framebuffer.scissor = (left, 0, columns, n_rows)
                 for name, value in self._uniforms_of(array.program, view):
                     array.program[name].write(value)
@@ -332,13 +339,21 @@ class OpenGLRenderer:
                 f"{height} rows; ask for a larger tolerance or fewer samples)"
             )
 
+    def _border_of(self, sector: Sector) -> tuple[int, int]:
+        """Return how many columns at each side, and rows at each end, the viewport of a sector has beyond it."""
+        return tuple(min(BORDER * n, (self._limit - n) // 2) for n in (sector.columns, sector.rows))
+
     def _uniforms_of(self, program, view: SectorView) -> list[tuple[str, bytes]]:
         """Return the uniforms of a sector, the same for every ping."""
         key = (program.glo, id(view))
         if key not in self._uniforms:
+            sector, (side, end) = view.sector, self._border_of(view.sector)
+            clip = sector.projection(NEAR_M, self._far_m)
+            clip[0] *= sector.columns / (sector.columns + 2 * side)
+            clip[1] *= sector.rows / (sector.rows + 2 * end)
             values = {
-                "clip_from_sonar": view.sector.projection(NEAR_M, self._far_m).T,
-                "sector_from_sonar": view.sector.rotation().T,
+                "clip_from_sonar": clip.T,
+                "sector_from_sonar": sector.rotation().T,
                 "pixel_from_uv": view.inverse.T,
                 "far_m": self._far_m,
             }
