@@ -647,6 +647,16 @@ class Acoustics:
         """
         return bin_weights(sonar.bin_size_m, *self.pulse_response(sonar)) if self.pulse else None
 
+    def pulse_level(self, sonar) -> float:
+        """Return the factor of the matched filter on the sum of an echo: resolution cell over bin, 1 at least.
+
+        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> round(Acoustics().pulse_level(load_sonar("p900-45,bandwidth_hz=20e3")), 2)  # 50.5 mm over 25.4 mm
+        2.0
+        """
+        cells = resolution_cell_m(*self.pulse_response(sonar)) / sonar.bin_size_m if self.pulse else 1.0
+        return cells if cells > 1 + 1e-9 else 1.0  # a cell as long as a bin is so but for rounding
+
     def pulse_response(self, sonar) -> PulseResponse:
         """Return bandwidth and taper of the pulse, and the speed of sound.
 

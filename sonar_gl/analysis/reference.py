@@ -126,7 +126,7 @@ def reference_ping(
         intensity = matched_filter(intensity, weights)
     if acoustics.cross_talk and sonar.cross_talk_db is not None:
         intensity = leak_between_beams(intensity, sonar.cross_talk_db, sonar.cross_talk_beams)
-    body_echo = (halves[0].body_sums + halves[1].body_sums) * ray_sr
+    body_echo = (halves[0].body_sums + halves[1].body_sums) * (ray_sr * acoustics.pulse_level(sonar))
     for array in (intensity, body_echo):
         array.setflags(write=False)
     return Ping(

@@ -259,7 +259,9 @@ def assemble(
         label_level_db = request.label_level_db
         if label_level_db is None:
             label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
-        labels = vars(without_faint(received.labels, intensity, 10 ** (label_level_db / 10)))
+        found = without_faint(received.labels, intensity, 10 ** (label_level_db / 10))
+        level = setup.acoustics.pulse_level(instrument.sonar)  # as the intensity has it
+        labels = vars(replace(found, body_echo=found.body_echo * level))
     for array in (intensity, coherent, texture, volume, *labels.values()):
         if array is not None:
             array.setflags(write=False)

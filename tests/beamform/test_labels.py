@@ -223,6 +223,22 @@ def test_the_echo_of_a_lone_body_is_that_of_the_ping(n_beams, fov_deg, azimuth_d
     assert got.body_echo[1] == pytest.approx(got.intensity.sum(dtype=float), rel=5e-5)
 
 
+@pytest.mark.parametrize("pulse_taper", ["hamming", "uniform"])
+def test_the_echo_of_a_body_has_the_level_of_a_pulse_longer_than_a_bin(pulse_taper):
+    """Bins shorter than the resolution cell hold its echo: the sum of the intensity is cell / bin times as much."""
+    more = {"bandwidth_hz": 5e3, "pulse_taper": pulse_taper}
+    sonar = sg.Sonar("long", 900e3, 16, 240, 20.0, 20.0, 2.0, 0.5, 12.5, **more)
+    ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.3), sg.pose(6.0))
+    acoustics = sg.Acoustics.physical()
+    got = ping([ball], sonar, acoustics, sg.Sampling(8, 100))
+    assert got.body_echo[1] == pytest.approx(got.intensity.sum(dtype=float), rel=2e-3)
+    truth = sg.reference_ping(sg.Scene([ball]), sonar, HERE, acoustics, error=0.1)
+    assert truth.body_echo[1] == pytest.approx(truth.intensity.sum(dtype=float), rel=2e-3)
+    cell_m = {"hamming": 1.363, "uniform": 1.0}[pulse_taper] * acoustics.water.sound_speed() / 2 / 5e3
+    without = ping([ball], sonar, replace(acoustics, pulse=False), sg.Sampling(8, 100))
+    assert got.body_echo[1] == pytest.approx(without.body_echo[1] * cell_m / sonar.bin_size_m, rel=1e-3)
+
+
 def test_the_echo_of_a_body_beside_the_fan_is_received_by_far_side_lobes():
     """Half of it was missing: that of the lobes beyond the support of beams, which labels leave out."""
     sonar = sg.Sonar("fan", 900e3, 48, 200, 40.0, 20.0, 1.0, 0.5, 10.0)
