@@ -246,6 +246,9 @@ class _Axes:
         texts = [f"{range_m:g} m" for range_m in self.arcs_m]
         beside = [self._beside(text, outwards) for text in texts]
         arcs = [self._position(low, range_m) + by for range_m, by in zip(self.arcs_m, beside, strict=True)]
+        for text, position in zip(texts, arcs, strict=True):  # no text ends beyond the picture
+            half = cv2.getTextSize(text, FONT, size, 1)[0][0] / 2
+            position[0] = min(position[0], canvas.shape[1] - half - 2)
         for text, position in zip(texts, arcs, strict=True):
             self._write(canvas, text, position)
         outer_m = self.fan.range_edges_m[1]
@@ -262,13 +265,16 @@ class _Axes:
                 self._write(canvas, f"{deg:+g}" if deg else "0", position, degrees=True)
 
     def _beside(self, text: str, outwards: np.ndarray) -> np.ndarray:
-        """Return how far from the starboard edge text is written, so that its dark ground covers no echo."""
+        """Return how far from the starboard edge text is written: farther where it is so long that it covers echoes."""
         size = self.font_size
         by = outwards * (45 * size, 28 * size)
-        if self.fan.full_circle:  # it has no edge
+        half = np.array(cv2.getTextSize(text, FONT, size, 1)[0]) / 2
+        reach, across = outwards @ by, np.abs(outwards)
+        if self.fan.full_circle or across @ half <= reach:  # a circle has no edge
             return by
-        half = np.array(cv2.getTextSize(text, FONT, size, 1)[0]) / 2 + math.ceil(5 * size) + 1  # rounding, line
-        return by + outwards * max(0.0, np.abs(outwards) @ half - outwards @ by)
+        return by + outwards * (
+            across @ (half + math.ceil(5 * size) + 1) - reach
+        )  # with its ground, and a line
 
     def _write(
         self, canvas: np.ndarray, text: str, centre, degrees: bool = False, size: float | None = None
