@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from collections.abc import Callable
@@ -27,6 +28,7 @@ N_TIMED = 9  # pings whose median time is reported
 FIRST_ERROR = 0.05
 MARGIN = 0.8  # of an error that holds some of the reference's own
 MAX_ROUNDS = 3  # of refining the reference
+LEAST_LETTER = 0.35  # size of a letter that can be read, as axes of small pictures have it
 COLOUR_PERCENTILE = 99  # of the errors of bins: from there on the picture has full colour
 SPAN_DB = 50.0  # of the fan images
 FAINTEST = 1e-12  # intensity of the brightest colour, so that its law has levels that `Counts` takes
@@ -216,15 +218,24 @@ def _difference_panel(v: Verification, height: int) -> _Panel:
 
 
 def _join(panels: list[_Panel]) -> np.ndarray:
-    """Return the panels side by side below their titles, in letters that fit the widest of them."""
-    width, font = panels[0].image.shape[1], cv2.FONT_HERSHEY_SIMPLEX
-    texts = [text for panel in panels for text in (panel.title, panel.scale)]
-    widest = max(cv2.getTextSize(text, font, 1.0, 1)[0][0] for text in texts)
-    letter = min(1.2, 0.94 * width / widest)
+    """Return the panels side by side below their titles, in letters that fit the widest of them.
+
+    Panels of narrow fans get black margins, so that letters stay large enough to be read.
+    """
+    font, texts = cv2.FONT_HERSHEY_SIMPLEX, [text for panel in panels for text in (panel.title, panel.scale)]
+
+    def widest(letter: float) -> int:
+        return max(cv2.getTextSize(text, font, letter, 1)[0][0] for text in texts)
+
+    width = max(panels[0].image.shape[1], math.ceil(widest(LEAST_LETTER) / 0.94))
+    letter = max(LEAST_LETTER, min(1.2, 0.94 * width / widest(1.0)))
     line = round(36 * letter)
     head = np.zeros((round(2.6 * line), len(panels) * width, 3), np.uint8)
+    images = []
     for number, panel in enumerate(panels):
         for row, text in enumerate((panel.title, panel.scale)):
             place = (round((number + 0.03) * width), round((row + 1.0) * line))
             cv2.putText(head, text, place, font, letter, (235 - 50 * row,) * 3, 1, cv2.LINE_AA)
-    return np.vstack([head, np.hstack([panel.image for panel in panels])])
+        left, odd = divmod(width - panel.image.shape[1], 2)
+        images.append(cv2.copyMakeBorder(panel.image, 0, 0, left, left + odd, cv2.BORDER_CONSTANT))
+    return np.vstack([head, np.hstack(images)])

@@ -243,9 +243,14 @@ class _Axes:
         """Label arcs beside the starboard edge, and spokes beyond the outer arc where they have room."""
         low, size = self.fan.azimuth_edges_rad[0], self.font_size
         outwards = np.array([math.cos(low), -math.sin(low)])  # away from the starboard edge
-        arcs = [self._position(low, range_m) + outwards * (45 * size, 28 * size) for range_m in self.arcs_m]
-        for range_m, position in zip(self.arcs_m, arcs, strict=True):
-            self._write(canvas, f"{range_m:g} m", position)
+        texts = [f"{range_m:g} m" for range_m in self.arcs_m]
+        beside = [self._beside(text, outwards) for text in texts]
+        arcs = [self._position(low, range_m) + by for range_m, by in zip(self.arcs_m, beside, strict=True)]
+        for text, position in zip(texts, arcs, strict=True):  # no text ends beyond the picture
+            half = cv2.getTextSize(text, FONT, size, 1)[0][0] / 2
+            position[0] = min(position[0], canvas.shape[1] - half - 2)
+        for text, position in zip(texts, arcs, strict=True):
+            self._write(canvas, text, position)
         outer_m = self.fan.range_edges_m[1]
         spokes = {
             deg: self._position(math.radians(deg), outer_m, 34 * size) for deg in self.spokes_deg.tolist()
@@ -258,6 +263,18 @@ class _Axes:
         for deg, position in spokes.items():
             if abs(deg) not in hidden:  # both sides or neither
                 self._write(canvas, f"{deg:+g}" if deg else "0", position, degrees=True)
+
+    def _beside(self, text: str, outwards: np.ndarray) -> np.ndarray:
+        """Return how far from the starboard edge text is written: farther where it is so long that it covers echoes."""
+        size = self.font_size
+        by = outwards * (45 * size, 28 * size)
+        half = np.array(cv2.getTextSize(text, FONT, size, 1)[0]) / 2
+        reach, across = outwards @ by, np.abs(outwards)
+        if self.fan.full_circle or across @ half <= reach:  # a circle has no edge
+            return by
+        return by + outwards * (
+            across @ (half + math.ceil(5 * size) + 1) - reach
+        )  # with its ground, and a line
 
     def _write(
         self, canvas: np.ndarray, text: str, centre, degrees: bool = False, size: float | None = None

@@ -23,6 +23,7 @@ from sonar_gl.sonar.counts import Counts
 MAX_HEIGHT = 16000  # cv2.remap counts pixels in 16 bits, and a picture may be twice as wide as high
 MAX_BEAMS = 32000  # rows of an array that cv2.remap can count
 SINGLE_BEAM_RAD = math.radians(1.0)  # width of a single beam if the ping has no sonar
+_HALF_PIXEL = 0.5 + 1e-6  # whatever rounding does to a pixel beside the middle of an even width
 _BLOCK_ROWS = 64  # rows of pixels computed at a time, which takes 20 MB less than all at once
 _OUTSIDE = -16.0  # map coordinate of pixels outside the fan: so far off the array that no echo leaks in
 
@@ -35,7 +36,8 @@ class PixelRows(NamedTuple):
     rows : slice of the picture's rows
     azimuth_rad : of the pixels' centres, within half a turn of the fan's middle
     range_m : of the pixels' centres
-    inside : bool, whether a pixel's centre lies in the fan
+    inside : bool, whether a pixel's centre lies in the fan, or, where the fan is narrower than a pixel, within half a
+        pixel of its middle
     """
 
     rows: slice
@@ -90,7 +92,12 @@ class FanGeometry:
             azimuth = middle + np.remainder(azimuth - middle + np.pi, 2 * np.pi) - np.pi
             inside = (range_m >= inner_m) & (range_m <= outer_m)
             if not self.full_circle:
-                inside &= (azimuth >= low) & (azimuth <= high)
+                within = (azimuth >= low) & (azimuth <= high)
+                # near the sonar no pixel's centre may lie between the edges, and echoes there would be lost
+                pixels = np.hypot(forward, port)
+                aside = pixels * np.abs(np.sin(azimuth - middle))
+                within |= (aside <= _HALF_PIXEL) & (pixels >= 1) & (np.abs(azimuth - middle) < math.pi / 2)
+                inside &= within
             yield PixelRows(rows, azimuth, range_m, inside)
 
 
@@ -192,9 +199,10 @@ def fan_image(ping: Ping, height: int = 800, counts: Counts | None = None) -> np
     The law acts on polar bins, as in the device, and a pixel is the bilinear interpolation of their counts, as in a
     viewer. Counts are not rounded before, which would only round twice. If bins or beams are finer than pixels, the
     linear intensity is first averaged over about a pixel: bins and beams by area, then at range r over 1 / (r Δψ)
-    beams. So an echo one bin or one beam wide is spread over a pixel, never lost between pixels. Automatic gain is
-    that of the ping's own bins, whatever the height. The fan ends half a bin and half a beam spacing outside the outer
-    ones, and their values extend to its edge. The ends of a 360° fan are joined.
+    beams. So an echo one bin or one beam wide is spread over a pixel, not lost between pixels, unless it lies in the
+    last half pixel beside the fan's edge. Where the whole fan is narrower than a pixel, it is drawn as wide as a pixel
+    or two. Automatic gain is that of the ping's own bins, whatever the height. The fan ends half a bin and half a beam
+    spacing outside the outer ones, and their values extend to its edge. The ends of a 360° fan are joined.
     """
     geometry, law = fan_geometry(ping, height), ping.counts_law(counts)
     plan = _plan(geometry, ping.intensity.shape, azimuth_key(ping))

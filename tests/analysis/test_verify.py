@@ -165,6 +165,30 @@ def test_a_ping_equal_to_the_truth_leaves_the_difference_white(tank):
     assert (difference.min(axis=2) == 255).mean() > 0.1
 
 
+@pytest.mark.parametrize("height", [20, 60])
+def test_titles_of_narrow_fans_can_be_read(monkeypatch, tank, height):
+    """Letters were fitted to the fan alone: those above a single beam were two pixels high."""
+    written = []
+    draw = judge.cv2.putText
+
+    def note(image, text, place, font, size, *more):
+        (across, up), _ = judge.cv2.getTextSize(text, font, size, 1)
+        written.append((text, place[0], place[0] + across, up))
+        return draw(image, text, place, font, size, *more)
+
+    monkeypatch.setattr(judge.cv2, "putText", note)
+    picture = judge.error_picture(tank, height)
+    width = picture.shape[1] / 3
+    titles = [one for one in written if one[0].startswith(("fast", "from", "reference", "difference", "red"))]
+    assert len(titles) == 6
+    for number, (_text, left, right, up) in enumerate(titles):
+        assert number // 2 * width <= left and right <= (number // 2 + 1) * width
+        assert up >= 7
+    fans = [part.astype(int) for part in np.split(picture, 3, axis=1)]
+    bright = [np.flatnonzero(part[40:].max(axis=2).any(axis=0)).mean() for part in fans]
+    assert np.ptp(bright) < 3  # all at the same place
+
+
 # --- command
 
 

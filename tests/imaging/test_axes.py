@@ -185,6 +185,33 @@ def test_labels_of_arcs_do_not_overlap(monkeypatch, fov_deg, height, range_m):
             assert right <= other[0] or other[1] <= left or bottom <= other[2] or other[3] <= top
 
 
+@pytest.mark.parametrize("range_m", [0.005, 0.3, 30.0, 900.0, 20000.0])
+@pytest.mark.parametrize("height", [100, 300, 1000])
+@pytest.mark.parametrize("fov_deg", [2, 20, 45, 90, 130, 230])
+def test_labels_of_arcs_lie_beside_the_fan_and_within_the_picture(monkeypatch, fov_deg, height, range_m):
+    """Long ones, and those in the wide letters of OpenCV 4, lay on the echoes of the outermost beams."""
+    boxes = []
+
+    def note(_canvas, text, place, font, size, *_more):
+        if text.endswith(" m") and " to " not in text:
+            (across, up), _ = axes.cv2.getTextSize(text, font, size, 1)
+            boxes.append((place[0], place[0] + across, place[1] - up, place[1]))
+
+    monkeypatch.setattr(axes.cv2, "putText", note)
+    ping = fan_ping(fov_deg, range_m=(0.0, range_m))
+    drawn = draw_axes(colorize(fan_image(ping, height)), ping)
+    fan, margin = fan_geometry(ping, height), (len(drawn) - height) // 2
+    for left, right, top, bottom in boxes:
+        assert right < drawn.shape[1]
+        if right >= drawn.shape[1] - 4:  # no room to move it aside
+            continue
+        rows, columns = np.mgrid[top : bottom + 1, left : right + 1]
+        port, forward = fan.sonar_column + margin - columns, fan.sonar_row + margin - rows
+        low = fan.azimuth_edges_rad[0]
+        past_edge = port * np.cos(low) - forward * np.sin(low) > 1  # pixels
+        assert not (past_edge & (np.hypot(port, forward) < fan.range_edges_m[1] * fan.pixels_per_m)).any()
+
+
 def test_pictures_of_other_fans():
     ping = fan_ping(60)
     with pytest.raises(Error) as caught:

@@ -224,6 +224,21 @@ def test_thin_ray_is_never_lost(height):
             assert image[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2].max() > 0.1
 
 
+@pytest.mark.parametrize("azimuth_deg", [0, 30, -50, 150])
+@pytest.mark.parametrize("height", [60, 61, 200])
+def test_a_fan_narrower_than_a_pixel_shows_all_bins(height, azimuth_deg):
+    """The single beam of a scanning sonar had no pixels within a twentieth of its range, and more in small pictures."""
+    ping = fan_ping(n_bins=40, azimuth_rad=np.radians([azimuth_deg - 0.25, azimuth_deg + 0.25]))
+    geometry = fan_geometry(ping, height)
+    for bin_ in range(2, 40):  # the first bins lie within a pixel of the sonar
+        ping.intensity[:] = 0
+        ping.intensity[:, bin_] = 1.0
+        image = fan_image(ping, height, counts=LINEAR)
+        column, row = geometry.pixel(np.radians(azimuth_deg), ping.range_m[bin_])
+        assert image.max() > 0.2
+        assert centroid(image) == pytest.approx((column, row), abs=1)
+
+
 def test_speckle_keeps_its_mean_when_pixels_are_coarse():
     ping = fan_ping(90, 1024, 4000)
     ping.intensity[:] = np.random.default_rng(0).exponential(0.3, ping.intensity.shape)

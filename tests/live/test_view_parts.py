@@ -249,6 +249,13 @@ def test_ranges_are_numbered_and_no_number_covers_another(fov_deg, form):
             assert apart, (texts[number], one, other)
 
 
+def test_a_whole_circle_has_numbers_straight_aside():
+    """They lay half a letter within the rim, as if the circle were as high as a fan, and were left out."""
+    html = marks_html(MarkedPicture.of(frame_of(360.0, "fan")))
+    texts = re.findall(r">([^<]+)</text>", html)
+    assert {"+90°", "-90°", "0°", "+45°", "-135°"} <= set(texts)
+
+
 def test_sonar_looks_where_its_camera_does():
     # axes of a camera: x right, y down, z ahead; those of a sonar: x ahead, y to port, z up
     right, down, ahead = np.eye(3)

@@ -79,9 +79,12 @@ def marks_html(marked: MarkedPicture) -> str:
         (f"{range_m:g} m", _beside(marked, range_m, f"{range_m:g} m", letter))
         for range_m in ticks.arcs_m.tolist()
     ]
-    inside_m = outer_m - letter * (outer_m - inner_m if marked.form == "polar" else outer_m) / height
+    m_per_pixel = (outer_m - inner_m) / height if marked.form == "polar" else 1 / marked.geometry.pixels_per_m
+    inside_m = outer_m - letter * m_per_pixel
     taken = [place for _, place in labels]
-    angles = {deg: marked.place(azimuth, inside_m) for deg, azimuth in spokes.items()}
+    angles = {
+        deg: _moved_in(marked.place(azimuth, inside_m), letter, width) for deg, azimuth in spokes.items()
+    }
     hidden = {abs(deg) for deg, place in angles.items() if not _has_room(place, taken, letter, width)}
     # both sides or neither
     labels += [
@@ -103,6 +106,14 @@ def _beside(marked: MarkedPicture, range_m: float, text: str, letter: float) -> 
     if beside[0] + half <= room and beside[1] + lower <= height:
         return beside
     return min(right, room) - half, min(down + lower, height - lower)
+
+
+def _moved_in(place: tuple[float, float], letter: float, width: float) -> tuple[float, float]:
+    """Return the place of an angle, no nearer to the picture's sides than its letters are wide, if it hardly moves."""
+    half = 2 * LETTER_WIDTH * letter
+    right = min(max(place[0], half), width - half)
+    # as that of a spoke straight aside
+    return (right, place[1]) if abs(right - place[0]) < 0.3 * letter else place
 
 
 def _has_room(place: tuple[float, float], taken: Iterable, letter: float, width: float) -> bool:
