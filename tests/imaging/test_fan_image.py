@@ -198,11 +198,11 @@ def test_beams_wider_than_pixels_are_not_averaged():
 
 def test_fine_bins_are_averaged_over_a_pixel_each():
     """80 bins to a pixel: whichever has an echo, its pixel straight ahead is a 80th as bright, and no other is lit."""
-    for bin_ in (0, 1799, 1800, 4079):
-        ping = fan_ping(90, 65, 51 * 80, range_m=(10.0, 20.0))
+    for bin_ in (0, 2799, 2800, 6479):
+        ping = fan_ping(90, 65, 81 * 80, range_m=(5.0, 20.0))
         ping.intensity[:, bin_] = 1.0
-        ahead = fan_image(ping, 102, counts=LINEAR)[:, 72]
-        assert np.flatnonzero(ahead).tolist() == [50 - bin_ // 80]
+        ahead = fan_image(ping, 108, counts=LINEAR)[:, 76]
+        assert np.flatnonzero(ahead).tolist() == [80 - bin_ // 80]
         assert ahead.max() == pytest.approx(1 / 80, rel=1e-5)  # float32 sums
 
 
