@@ -79,6 +79,7 @@ RECORDS = ("test_records",)
 POWER = ("test_power_failure",)
 GUARD = ("test_state_guard", "test_modes")
 COUNTS = ("test_counts",)
+POSES, FAN = ("test_poses",), ("test_fan_image",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
@@ -91,6 +92,50 @@ CHANGED_MESH = "test_moving_bodies::test_a_mesh_that_was_changed_in_place_is_add
 CORNER = "test_adaptive::test_a_body_in_the_place_of_another_needs_no_finer_samples"
 
 MUTATIONS = (
+    # numbers of poses, and pictures of fans
+    Mutation("poses/reflections", "1e-5 or turn < 0", "1e-5", POSES),
+    Mutation("poses/last row", "if last != [0.0, 0.0, 0.0, 1.0]:", "if last[:3] != [0.0, 0.0, 0.0]:", POSES),
+    Mutation(
+        "poses/straight up", "roll, yaw = 0.0, np.arctan2(-b, e)", "roll, yaw = 0.0, np.arctan2(b, e)", POSES
+    ),
+    Mutation(
+        "poses/times before 1970", "is_late = np.abs(numbers[:, 0])", "is_late = (numbers[:, 0])", POSES
+    ),
+    Mutation("poses/warned of again", "is_unwrapped |= _check_rows", "is_unwrapped = _check_rows", POSES),
+    Mutation(
+        "fan image/fan to starboard",
+        "half = min(max(-edges[0], edges[1])",
+        "half = min(max(edges[1], edges[1])",
+        FAN,
+    ),
+    Mutation("fan image/astern", "middle + np.remainder(azimuth - middle", "0 + np.remainder(azimuth", FAN),
+    Mutation("fan image/more than a circle", "float(edges[1] - excess)", "float(edges[1])", FAN),
+    Mutation("axes/first spoke", "math.ceil(first - 1e-6)", "math.ceil(first + 1e-6)", ("test_axes",)),
+    Mutation("axes/side of labels", 'f"{deg:+g}" if deg else', 'f"{-deg:+g}" if deg else', ("test_axes",)),
+    Mutation(
+        "axes/counts of the bar",
+        "np.linspace(bottom, top, len",
+        "np.linspace(top, bottom, len",
+        ("test_axes",),
+    ),
+    Mutation(
+        "counts/bounds of the gain",
+        "gain_db = min(max(gain_db, -LEVEL_BOUND_DB)",
+        "gain_db = min(max(gain_db, -1e9)",
+        COUNTS,
+    ),
+    Mutation(
+        "noise/pattern of interference",
+        "aperture_width(taper) * offset",
+        "aperture_width(taper) / 2 * offset",
+        NOISE,
+    ),
+    Mutation(
+        "pulse/length of field weights",
+        "int(MAX_FIELD_NULLS / min(ratio, 1))",
+        "half_length",
+        ("test_pulse",),
+    ),
     # footprints of samples into columns and bins
     Mutation("footprints/ramp", "t * t * (t / 3 + start / 2)", "t * t * (t / 3 + start / 3)", FOOTPRINTS),
     Mutation("footprints/box height", "(s[m] if past else 0.25)", "(s[m] if past else 0.3)", FOOTPRINTS),

@@ -12,6 +12,7 @@ from sonar_gl.acoustics.pulse import (
     amplitude_response,
     bin_weights,
     field_weights,
+    is_coarse,
     matched_filter,
     resolution_cell_m,
 )
@@ -186,6 +187,16 @@ def test_range_side_lobes_of_a_point_echo():
     lobe = out[1050:1100]
     assert 50 + lobe.argmax() == pytest.approx(1.4303 * 50, abs=1)
     assert 10 * np.log10(lobe.max() / out.max()) == pytest.approx(-13.26, abs=0.02)  # bins are 1/50 c/2B long
+
+
+def test_field_weights_of_an_untapered_pulse_end_after_50_nulls():
+    """Its side lobes hold 1e-4 of the power beyond a thousand. Bins of half a null are 100 to each side."""
+    assert len(field_weights(NULL_M / 2, BANDWIDTH_HZ, "uniform", SPEED_M_S)) == 201
+
+
+@pytest.mark.parametrize(("ratio", "coarse"), [(1.0, True), (1 - 1e-6, False), (1 + 1e-6, True)])
+def test_bins_of_a_null_are_coarse(ratio, coarse):
+    assert is_coarse(ratio * NULL_M, BANDWIDTH_HZ, "uniform", SPEED_M_S) is coarse
 
 
 @pytest.mark.parametrize("taper", PULSE_TAPERS)

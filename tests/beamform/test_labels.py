@@ -637,10 +637,12 @@ def test_labels_of_depth_images():
     assert got.body_echo[0] == pytest.approx(got.body_echo[3], rel=1e-6) and not got.body_echo[1:3].any()
     assert np.isfinite(got.incidence_rad[has_echo]).all() and np.isnan(got.incidence_rad[~has_echo]).all()
     off = got.incidence_rad[has_echo] - np.arccos(np.minimum(6 / got.true_range_m[has_echo], 1))
-    # angle of the mean range; in the first bins, near normal incidence, angles change quickly
-    assert np.abs(off[got.true_range_m[has_echo] > 6.1]).max() < math.radians(0.5)
-    assert np.abs(got.true_range_m - got.range_m)[has_echo].max() <= sonar.bin_size_m / 2 + 1e-4
-    assert got.true_range_m[has_echo].min() == pytest.approx(6.0, abs=0.01)
+    # The angle of the mean range is not the mean angle: of evenly spread ranges the two differ by a 24th of the square
+    # of a bin times the curvature, 0.061 degrees at 6.15 m; in the first bin angles change quickly.
+    assert np.abs(off[got.true_range_m[has_echo] > 6.1]).max() < math.radians(0.065)
+    rounding = 1e-5  # float32 of the plane's samples
+    assert np.abs(got.true_range_m - got.range_m)[has_echo].max() <= sonar.bin_size_m / 2 + rounding
+    assert got.true_range_m[has_echo].min() == pytest.approx(6.0, abs=rounding)
 
 
 def test_files_hold_the_labels(tmp_path):

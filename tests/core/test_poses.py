@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sonar_gl.core import poses as module
 from sonar_gl.core.errors import Error
-from sonar_gl.core.poses import check_pose, pose, read_poses
+from sonar_gl.core.poses import check_pose, pose, pose_numbers, read_poses
 
 HEADER = "t,x,y,z,roll,pitch,yaw"
 
@@ -208,3 +208,70 @@ def test_angles_of_too_many_turns_are_refused(message, monkeypatch):
     monkeypatch.setattr(module, "MAX_UNWRAPPED_RAD", 20.0)
     text = message(*(f"{k},0,0,0,0,0,{3 * k}" for k in range(10)))
     assert text.startswith("line 9: pose angles must be radians") and "yaw = 0 0 21;" in text
+
+
+def test_only_rotations_and_translations_are_poses():
+    turned = pose(1, 2, 3, 0.1, -0.2, 0.3)
+    check_pose(turned)
+    wrong = [turned @ np.diag([1.0, 1.0, -1.0, 1.0])]
+    for one, other in ((0, 1), (0, 2), (1, 2)):  # rows of length 1 that are not at right angles
+        sheared = np.eye(4)
+        sheared[other, [one, other]] = 0.6, 0.8
+        wrong.append(sheared)
+    for matrix in wrong:
+        with pytest.raises(Error, match="its 3x3 part scales, shears or reflects; scale the mesh instead"):
+            check_pose(matrix)
+    turned[3, 3] = 2.0
+    with pytest.raises(Error, match=r"must have the last row 0 0 0 1 \(got \[0\.0, 0\.0, 0\.0, 2\.0\]\)"):
+        check_pose(turned)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_pose_lies_within_a_million_kilometres(axis):
+    place = [0.0, 0.0, 0.0]
+    for sign in (1, -1):
+        place[axis] = sign * 1e9
+        check_pose(pose(*place))
+        place[axis] *= 1 + 1e-9
+        with pytest.raises(Error, match="pose must lie within 1e\\+09 m of the origin"):
+            check_pose(pose(*place))
+
+
+@pytest.mark.parametrize("pitch", [0.4, np.pi / 2, -np.pi / 2])
+def test_the_numbers_of_a_pose_give_it_back(pitch):
+    """Straight up and down, too, where roll and yaw have the same axis."""
+    one = pose(1, 2, 3, 0.7, pitch, -2.1)
+    np.testing.assert_allclose(pose(*pose_numbers(one)), one, rtol=0, atol=1e-15)
+
+
+def test_angles_beyond_a_turn_are_no_radians():
+    np.testing.assert_allclose(pose(yaw=2 * np.pi), np.eye(4), rtol=0, atol=3e-16)
+    for angles in ((6.3, 0, 0), (0, -6.3, 0), (0, 0, 90)):
+        with pytest.raises(Error, match="pose angles must be radians, within ±2π"):
+            pose(0, 0, 0, *angles)
+
+
+def test_unwrapped_angles_are_warned_of_once(tmp_path, monkeypatch):
+    """Also where blocks between have none."""
+    monkeypatch.setattr(module, "BLOCK_LINES", 5)
+    yaws = [0, 3, 6, 9, 6, 3, 0, 0, 0, 0, 3, 6, 9, 6, 3]
+    path = tmp_path / "p.csv"
+    path.write_text("\n".join([HEADER, *(f"{k},0,0,0,0,0,{yaw}" for k, yaw in enumerate(yaws))]))
+    with pytest.warns(UserWarning, match="line 5: angles go beyond") as caught:
+        read_poses(path)
+    assert len(caught) == 1
+
+
+def test_times_of_any_sign_have_a_bound(message, read):
+    assert read("-1e10,0,0,0,0,0,0", "1e10,0,0,0,0,0,0")[0].tolist() == [-1e10, 1e10]
+    assert message("-1.1e10,0,0,0,0,0,0") == (
+        "line 2, column t: must lie in -1e+10..1e+10 (got -1.1e+10; give seconds)"
+    )
+
+
+@pytest.mark.parametrize("length", [0.0, 0.98, 1.011])
+def test_quaternions_of_another_length_are_refused(message, length):
+    text = message(f"0,1,2,3,0,0,0,{length}", header="t,x,y,z,qx,qy,qz,qw")
+    assert text == (
+        f"line 2: qx qy qz qw must be a unit quaternion (got 0 0 0 {length:g}, of length {length:.3g})"
+    )

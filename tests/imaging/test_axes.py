@@ -7,7 +7,7 @@ import pytest
 
 from sonar_gl.core.errors import Error
 from sonar_gl.imaging import axes
-from sonar_gl.imaging.axes import draw_axes
+from sonar_gl.imaging.axes import draw_axes, fan_ticks
 from sonar_gl.imaging.fan_image import colorize, fan_geometry, fan_image
 from sonar_gl.imaging.styles import FanStyle
 from sonar_gl.sonar.counts import Counts
@@ -60,6 +60,71 @@ def test_outside_the_fan_it_is_black():
     drawn = draw_axes(np.full((300, 300, 3), 200, np.uint8), ping)
     margin = (len(drawn) - 300) // 2
     assert not drawn[pixels(ping, margin, [0, 0, 40], [3.0, 4.5, 10.0])].any()
+
+
+@pytest.mark.parametrize("range_m", [(1.0, 20.0), (15.0, 20.0)])
+def test_inside_the_fan_the_picture_stays(range_m):
+    """The outline follows the inner arc, too."""
+    ping = fan_ping(60, range_m=range_m)
+    drawn = draw_axes(np.full((300, 300, 3), 200, np.uint8), ping)
+    margin = (len(drawn) - 300) // 2
+    assert (drawn[pixels(ping, margin, [-27, -17, -3, 3, 17, 27], 17.5)] == 200).all()
+
+
+def test_a_full_circle_has_no_edges():
+    ping = fan_ping(azimuth_rad=np.radians(np.arange(-159.5, 200.0)))
+    drawn = draw_axes(np.zeros((300, 300, 3), np.uint8), ping).max(axis=2)
+    margin = (len(drawn) - 300) // 2
+    assert not drawn[pixels(ping, margin, -160.0, [7, 12, 17])].any()
+    assert (drawn[pixels(ping, margin, [135.0, 180.0], 12)] > 40).all()
+
+
+@pytest.mark.parametrize(
+    ("fov_deg", "range_m", "spoke_pixels", "arcs_m", "spokes_deg"),
+    [
+        (80, (0.0, 20.0), 1, [5, 10, 15, 20], range(-40, 41, 10)),  # both edges; eight steps
+        (90, (1.0, 27.0), 1, [5, 10, 15, 20, 25], range(-45, 46, 15)),
+        (90, (10.0, 13.5), 1, [10, 12], range(-45, 46, 15)),
+        (90, (1.0, 27.0), 100, [5, 10, 15, 20, 25], [-30, 0, 30]),  # 15 degrees are 79 pixels
+        (360, (0.0, 7.0), 1, [1, 2, 3, 4, 5, 6, 7], range(-135, 181, 45)),  # -180 is +180
+    ],
+)
+def test_ticks(fov_deg, range_m, spoke_pixels, arcs_m, spokes_deg):
+    ticks = fan_ticks(fan_geometry(fan_ping(fov_deg, range_m=range_m), 300), spoke_pixels)
+    assert ticks.arcs_m.tolist() == pytest.approx(arcs_m)  # decimal fractions
+    assert ticks.spokes_deg.tolist() == pytest.approx(list(spokes_deg))
+
+
+def written(monkeypatch):
+    """Return a dict that is filled with the place of each text, (column, row), as it goes to OpenCV."""
+    places, draw = {}, axes.cv2.putText
+    monkeypatch.setattr(axes.cv2, "putText", lambda *more: places.update({more[1]: more[2]}) or draw(*more))
+    return places
+
+
+def test_labels_of_spokes_are_positive_to_port_and_counts_rise_along_the_bar(monkeypatch):
+    places, ping = written(monkeypatch), fan_ping(90, range_m=(1.0, 27.0))
+    draw_axes(colorize(fan_image(ping, 300)), ping, "copper", Counts("power"))
+    columns = [places[f"{deg:+d}"][0] for deg in (30, 15, -15, -30)]
+    assert columns == sorted(columns) and len(set(columns)) == 4
+    rows = [places[count][1] for count in ("255", "191", "128", "64")]
+    assert rows == sorted(rows) and len(set(rows)) == 4
+
+
+def test_spokes_are_labelled_on_both_sides_or_neither(monkeypatch):
+    """Labels of arcs beside the starboard edge may take the place of one."""
+    hidden = 0
+    for fov_deg in range(8, 180, 9):
+        ping = fan_ping(fov_deg, range_m=(0.5, 30.0))
+        fan = fan_geometry(ping, 80)
+        places = written(monkeypatch)
+        draw_axes(np.zeros((80, fan.width, 3), np.uint8), ping)
+        spokes = {text for text in places if text[0] in "+-"}
+        assert {text.translate({43: 45, 45: 43}) for text in spokes} == spokes
+        hidden += len(spokes) + 1 < len(
+            fan_ticks(fan, 35).spokes_deg
+        )  # spokes are as far apart at this height
+    assert hidden
 
 
 def test_the_bar_has_all_colours_and_stands_beside_the_axes():

@@ -154,6 +154,57 @@ def test_fan_aside_of_the_boresight():
     ping = fan_ping(azimuth_rad=np.radians(np.linspace(10, 60, 50)), fill=1.0)
     image = fan_image(ping, 300)
     assert image[:, : image.shape[1] // 2 - 10].any() and not image[:, image.shape[1] // 2 :].any()
+    other = fan_image(fan_ping(azimuth_rad=np.radians(np.linspace(-60, -10, 50)), fill=1.0), 300)
+    assert (other == image[:, ::-1]).all()
+
+
+def test_fan_astern():
+    """Its azimuths go on beyond 180 degrees."""
+    image = fan_image(fan_ping(azimuth_rad=np.radians(np.linspace(101, 259, 80)), fill=1.0), 300)
+    share = (100 - 260) / 360
+    assert (image > 0).mean() == pytest.approx(-share * math.pi / 4, abs=0.01)  # of a disc in its square
+    assert (image == image[:, ::-1]).all() and not image[:100].any()
+
+
+def test_uneven_beams_cover_a_circle_at_most():
+    """Half a spacing outside the outer ones would be 205 degrees."""
+    ping = fan_ping(azimuth_rad=np.radians([-170.0, -100.0, 0.0, 100.0, 170.0]), fill=1.0)
+    geometry = fan_geometry(ping, 300)
+    assert np.degrees(geometry.azimuth_edges_rad) == pytest.approx([-180, 180], abs=1e-12)
+    assert geometry.full_circle and fan_image(ping, 300).shape == (300, 300)
+
+
+def test_bins_from_0_on_have_their_edge_at_0_whatever_rounding_leaves():
+    for n_bins in range(2, 60):
+        assert fan_geometry(fan_ping(n_bins=n_bins, range_m=(0.0, 17.1))).range_edges_m[0] == 0.0
+
+
+def test_no_bin_begins_behind_the_sonar():
+    ping = replace(fan_ping(n_bins=1), range_m=np.array([5.0]), meta={"bin_size_m": 30.0})
+    assert fan_geometry(ping).range_edges_m == (0.0, 10.0)
+
+
+def test_beams_wider_than_pixels_are_not_averaged():
+    """A column of pixels lies on the middle beam; others may lie closer together."""
+    even = np.radians(np.linspace(-45, 45, 401))  # 1.5 pixels apart at the outer edge
+    few = np.radians(np.linspace(-45, 45, 101))
+    pairs = np.sort([*few, few[10] + 1e-4, few[-11] - 1e-4])
+    for table, height in ((even, 401), (pairs, 400)):  # pictures of an odd width
+        ping = fan_ping(azimuth_rad=table)
+        ping.intensity[len(table) // 2] = 1.0
+        image = fan_image(ping, height, counts=LINEAR)
+        middle = image.shape[1] // 2
+        assert image.shape[1] == 2 * middle + 1 and (image[:20, middle] == 1).all()
+
+
+def test_fine_bins_are_averaged_over_a_pixel_each():
+    """80 bins to a pixel: whichever has an echo, its pixel straight ahead is a 80th as bright, and no other is lit."""
+    for bin_ in (0, 2799, 2800, 6479):
+        ping = fan_ping(90, 65, 81 * 80, range_m=(5.0, 20.0))
+        ping.intensity[:, bin_] = 1.0
+        ahead = fan_image(ping, 108, counts=LINEAR)[:, 76]
+        assert np.flatnonzero(ahead).tolist() == [80 - bin_ // 80]
+        assert ahead.max() == pytest.approx(1 / 80, rel=1e-5)  # float32 sums
 
 
 def test_edges_reach_half_a_beam_and_half_a_bin_out():

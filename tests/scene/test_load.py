@@ -2,6 +2,7 @@
 
 import copy
 import importlib.metadata
+import os
 import pickle
 import subprocess
 import sys
@@ -53,6 +54,13 @@ def test_data_folders_are_found():
     assert (data_folder("shaders")).is_dir() and (data_folder("scenes")).is_dir()
     with pytest.raises(Error, match="the folder 'nonsense' is neither in"):
         data_folder("nonsense")
+
+
+def test_bundled_scenes_are_those_of_the_folder():
+    """So that tests of each bundled scene are tests of some."""
+    folder = Path(__file__).resolve().parents[2] / "scenes"
+    names = {name.removesuffix(".sdf") for name in os.listdir(folder) if name.endswith(".sdf")}
+    assert names == bundled_scenes().keys() >= {"harbour", "pylon", "diver"}
 
 
 def test_every_bundled_scene_loads_without_a_warning():

@@ -254,3 +254,14 @@ def test_invalid_fields(fields, message):
 def test_automatic_gain_has_no_inverse():
     with pytest.raises(Error, match="intensity_of needs a fixed gain \\(got gain_percentile = 99"):
         Counts(gain_percentile=99).intensity_of([3])
+
+
+@pytest.mark.parametrize(("level", "gain_db"), [(1e-25, 180.0), (1e25, -180.0)])
+def test_automatic_gain_has_the_bounds_of_a_fixed_one(level, gain_db):
+    law = Counts("power", gain_percentile=50)
+    assert law.settle(np.full((4, 4), level, np.float32)).gain_db == gain_db
+
+
+def test_what_is_shown_is_above_0_whatever_the_exponent():
+    """A level in dB is made of it; 1/32 to the power of 100 is 0 as float32."""
+    assert Counts("power", exponent=0.01).least_shown(np.ones((1, 1))) == np.finfo(np.float32).tiny

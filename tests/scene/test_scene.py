@@ -1,0 +1,47 @@
+"""Scenes made from scenes, parts of models, and meshes that are refused."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+
+
+def body(name, *numbers, **angles):
+    return sg.Body(name, trimesh.creation.box((1, 1, 1)), sg.pose(*numbers, **angles))
+
+
+def test_scenes_made_from_a_scene_keep_the_rest():
+    scene = sg.Scene(
+        [body("a")], sg.pose(1.0), "mine", 2.0, surface_roughness_m=0.3, models={"a": sg.pose(4.0, yaw=1.0)}
+    )
+    others = (
+        scene.with_bodies([body("b")]),
+        scene.with_more([body("b")]),
+        scene.only("a"),
+        scene.with_surface(2.0),
+    )
+    for other in others:
+        assert (other.name, other.surface_z_m, other.surface_roughness_m) == ("mine", 2.0, 0.3)
+        np.testing.assert_array_equal(other.sonar_pose, scene.sonar_pose)
+        np.testing.assert_array_equal(other.models["a"], scene.models["a"])
+
+
+def test_names_are_unique_also_of_bodies_that_are_added():
+    with pytest.raises(sg.Error, match=r"names of bodies must be unique \(got 'a' more than once\)"):
+        sg.Scene([body("a")]).with_more([body("a")])
+
+
+def test_parts_of_a_model_lie_relative_to_it():
+    home, inside = sg.pose(1, 2, 3, 0.1, 0.2, 0.3), sg.pose(4, 5, 6, yaw=-1.0)
+    part = sg.Body("m::p", trimesh.creation.box((1, 1, 1)), home @ inside)
+    parts = sg.Scene([part, body("other")], models={"m": home}).parts_of("m")
+    assert list(parts) == ["m::p"]
+    np.testing.assert_allclose(parts["m::p"], inside, rtol=0, atol=4e-15)  # rounding of metres
+
+
+@pytest.mark.parametrize("wrong", [-1, 3])
+def test_faces_name_vertices(wrong):
+    mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, wrong]], process=False, validate=False)
+    with pytest.raises(sg.Error, match=rf"faces must name vertices 0\.\.2 \(got {wrong}\)"):
+        sg.Body("a", mesh)
