@@ -114,16 +114,15 @@ def test_labels_of_spokes_are_positive_to_port_and_counts_rise_along_the_bar(mon
 def test_spokes_are_labelled_on_both_sides_or_neither(monkeypatch):
     """Labels of arcs beside the starboard edge may take the place of one."""
     hidden = 0
-    for fov_deg in range(8, 180, 9):
+    for fov_deg in range(8, 360, 9):
         ping = fan_ping(fov_deg, range_m=(0.5, 30.0))
         fan = fan_geometry(ping, 80)
         places = written(monkeypatch)
         draw_axes(np.zeros((80, fan.width, 3), np.uint8), ping)
         spokes = {text for text in places if text[0] in "+-"}
         assert {text.translate({43: 45, 45: 43}) for text in spokes} == spokes
-        hidden += len(spokes) + 1 < len(
-            fan_ticks(fan, 35).spokes_deg
-        )  # spokes are as far apart at this height
+        # spokes are as far apart at this height
+        hidden += len(spokes) + 1 < len(fan_ticks(fan, 35).spokes_deg)
     assert hidden
 
 

@@ -82,7 +82,7 @@ def rows():
         yield f"sonar on its {name}", measured, *pair(oddities.on_a_body(*place), per_cent), "on_a_face"
     wrong = "echo in wrong bins"
     yield "ball, 2 samples a beam", wrong, *pair(regimes.silhouette(), per_cent), "silhouettes"
-    for distance in (10.0, 100.0):
+    for distance in (20.0, 100.0):
         got = pair(regimes.paint_before_a_wall(distance), per_cent)
         yield f"faces 5 mm apart at {distance:g} m", leaks, *got, "close_one_behind"
     yield "coplanar faces", "echo over that of one face", *pair(oddities.coplanar((1.0, 1.0))), "coplanar"
