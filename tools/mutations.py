@@ -829,7 +829,7 @@ MUTATIONS = (
         ADAPTIVE,
     ),
     Mutation("planner/plane of a grazing floor", "q > plane * IN_FRONT", "q > there * IN_FRONT", ADAPTIVE),
-    Mutation("planner/glints", "samples * extents.glint_shares", "samples", ADAPTIVE),
+    Mutation("planner/glints", "found.samples * shares, found.echo", "found.samples, found.echo", ADAPTIVE),
     Mutation("planner/brighter bodies", "or brighter > CHECK_BRIGHTER", "", ADAPTIVE),
     Mutation(
         "planner/far pings follow",
