@@ -151,15 +151,14 @@ class FieldNoise:
             self._multiply_by_speckle(exponential, "texture")
             multiply_by_texture(intensity, exponential, self._ping.texture_deviation)
         if noise.speckle or power is not None:
-            looks = noise.looks if noise.speckle else 1
-            echo = intensity.copy() if looks > 1 else None
+            echo = intensity.copy() if noise.looks > 1 else None  # only with speckle
             self._apply_look(intensity, power, 0)
-            for look in range(1, looks):
+            for look in range(1, noise.looks):
                 other = echo.copy()
                 self._apply_look(other, power, look)
                 intensity += other
-            if looks > 1:
-                intensity /= np.float32(looks)
+            if noise.looks > 1:
+                intensity /= np.float32(noise.looks)
         if noise.interference_lines:
             add_interference(
                 intensity,

@@ -91,6 +91,22 @@ def test_receiver_noise_is_new_in_each_ping():
     assert (first != second).mean() > 0.99
 
 
+def test_looks_have_patterns_of_their_own():
+    """The contrast of the mean of four is a half; waves that are kept must be those of the look."""
+    (x,) = patterns(replace(PLACE_LOCKED, looks=4), even_ping(200, 1000, 2.0, pose=pose(0.2, 0.2)))
+    assert x.std() == pytest.approx(0.5, abs=SIGMAS * np.sqrt(2 / x.size))  # beams are two widths apart
+
+
+def test_it_is_that_of_the_tilted_head():
+    """The housing is level, and turned about the boresight: the head below it looks aside as well as down."""
+    ping = even_ping(pose=pose(0.2, 0.2, 0, 0.7, 0, YAW_RAD))
+    tilted = replace(ping, sonar=replace(ping.sonar, tilt_deg=20.0))
+    head = replace(ping, pose=tilted.sonar.head_pose(ping.pose))
+    found, expected, level = (patterns(PLACE_LOCKED, one) for one in (tilted, head, ping))
+    np.testing.assert_array_equal(found, expected)
+    assert correlation(found, level) < 0.9
+
+
 def test_statistics_are_those_of_speckle():
     x = np.array([moved(seed) for seed in range(30)])
     n = 30 * 256 * 64 * 0.25 * UNIFORM_WIDTH

@@ -1,5 +1,6 @@
 """Speckle: its distribution, and its correlation between beams, under tapers and along the pulse."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -193,6 +194,22 @@ def test_a_field_is_the_matrix_times_normals(n_beams, per_beam):
     normals = standard_normal(stream(8, 0, "speckle"), (matrix.shape[1], 16))
     expected = (matrix @ normals).reshape(n_beams, 2, 8) * amplitude[:, None] * np.sqrt(0.5)
     # float32 sums of some 40 numbers of about 0.2, in another order
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(("n_beams", "width_rad"), [(6, 0.03), (40, 0.03), (400, 0.004)])
+def test_the_pulse_acts_on_all_bins_alike(n_beams, width_rad):
+    """Bins are filled in blocks, of many beams 16 at a time and four blocks at once; 997 is a multiple of none."""
+    azimuth, weights = tuple(np.linspace(-0.2, 0.2, n_beams).tolist()), (0.5, math.sqrt(0.5), 0.5)
+    found = np.zeros((n_beams, 2, 997), np.float32)
+    correlation = FieldCorrelation(azimuth, width_rad, (), np.array(weights, np.float32))
+    add_field(found, np.ones((1, 997), np.float32), correlation, stream(8, 0, "speckle"))
+    matrix = beam_matrix(azimuth, width_rad)
+    matrix = np.eye(n_beams) if matrix is None else matrix
+    normals = standard_normal(stream(8, 0, "speckle"), (2 * matrix.shape[1], 999))
+    filtered = np.array([np.convolve(row, weights, "valid") for row in normals])
+    expected = np.tensordot(matrix, filtered.reshape(-1, 2, 997), 1) * np.sqrt(0.5)
+    # float32 sums of up to some 100 numbers of about 0.1, in another order
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
 
 
