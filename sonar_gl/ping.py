@@ -71,7 +71,8 @@ class Ping:
     pose : (4, 4) float64, world_from_sonar, of the housing; `sonar.head_pose` of it is the head's, whose axes
         azimuths and elevations refer to
     meta : how the ping was made, as plain values; docs/conventions.md, "Files", has the keys
-    body_echo : (bodies + 1,) float64 or None, each body's part of the sum of `intensity`, by its number
+    body_echo : (bodies + 1,) float64 or None, each body's part of the sum of `intensity`, by its number: of its direct
+        echo before noise, with what a pulse carries beyond the first and the last bin
     error_estimate : float or None, estimated share of the echo that lies in wrong bins; None where samples were given,
         or planned for other pings
     incidence_rad : (B, K) float32 or None, mean incidence of the strongest body's echo, radians, NaN if there is none
