@@ -1019,8 +1019,8 @@ MUTATIONS = (
     ),
     Mutation(
         "noise/mean of looks",
-        "intensity /= np.float32(looks)",
-        "intensity /= np.float32(looks + 1)",
+        "intensity /= np.float32(noise.looks)",
+        "intensity /= np.float32(noise.looks + 1)",
         NOISE,
     ),
     Mutation(

@@ -651,7 +651,7 @@ class Acoustics:
         """Return the factor of the matched filter on the sum of an echo: resolution cell over bin, 1 at least.
 
         >>> from sonar_gl.sonar.sonar import load_sonar
-        >>> round(Acoustics().pulse_level(load_sonar("p900-45,bandwidth_hz=20e3")), 2)  # 50.5 mm over 25.4 mm
+        >>> round(Acoustics().pulse_level(load_sonar("p900-45,bandwidth_hz=20e3")), 2)  # 50.8 mm over 25.4 mm
         2.0
         """
         cells = resolution_cell_m(*self.pulse_response(sonar)) / sonar.bin_size_m if self.pulse else 1.0

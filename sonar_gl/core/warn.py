@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 from sonar_gl.core.errors import escape_controls
 
-MOST_TEXTS = (
-    1000  # that Python remembers of a module; some are new with each ping, as where distances are in them
-)
+# That Python remembers of a module: some are new with each ping, as where distances are in them.
+MOST_TEXTS = 1000
 
 
 class CollectedWarning(NamedTuple):

@@ -15,8 +15,15 @@ import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.engine.difference import wrong_share
-from sonar_gl.engine.multipath import COARSEST, FINEST, MULTIPATH_GAIN, THINNINGS, ImageSourceSamples
-from sonar_gl.engine.visibility import BodyCounts, body_error
+from sonar_gl.engine.multipath import (
+    COARSEST,
+    FINEST,
+    MULTIPATH_GAIN,
+    THINNINGS,
+    BodySamples,
+    ImageSourceSamples,
+)
+from sonar_gl.engine.visibility import body_error
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
 from sonar_gl.sonar.sampling import WORST_BODY
 
@@ -238,7 +245,7 @@ def _finest_for(images: ImageSourceSamples) -> int:
     return max(FINEST, min(math.ceil(math.log2(n_samples / MAX_CHOSEN_SAMPLES)), 0))
 
 
-def _error_by_samples(share: float, counts: BodyCounts, fewer: float) -> float:
+def _error_by_samples(share: float, counts: BodySamples, fewer: float) -> float:
     """Return the error of multipath by the samples on the bodies that return it, relative to what `share` is.
 
     At the worst it is that of the bodies with the fewest samples.

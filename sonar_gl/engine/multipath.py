@@ -18,7 +18,7 @@ from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
 from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.engine.stage import Stage, StageCache
-from sonar_gl.engine.visibility import BodyCounts, count_bodies, reception_of
+from sonar_gl.engine.visibility import count_bodies, reception_of
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
@@ -122,6 +122,13 @@ class ImageSource:
     image_index: kernels.ViewIndex
 
 
+class BodySamples(NamedTuple):
+    """How many samples met each body, as if all were compact, and about its echo; (n,) each."""
+
+    samples: np.ndarray
+    echo: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class ImageSourceSamples:
     """The image sources of one ping.
@@ -129,16 +136,16 @@ class ImageSourceSamples:
     Attributes
     ----------
     halvings : how often rows were halved for them
-    direct : BodyCounts of the direct view
-    imaged : BodyCounts of the views of the images, one after the other, as if none was halved
+    direct : BodySamples of the direct view, by number
+    imaged : BodySamples of the views of the images, one after the other, as if none was halved
     single_bounce : intensity of the two ways of a single-bounce echo together, over that of one
     own, image : Stage of the sonar and of its images
     sources : ImageSource of each reflector
     """
 
     halvings: int
-    direct: BodyCounts
-    imaged: BodyCounts
+    direct: BodySamples
+    imaged: BodySamples
     single_bounce: float
     own: Stage
     image: Stage
@@ -256,11 +263,9 @@ class ImageSources:
             out[number] = ImageSourceSamples(
                 halvings=halvings,
                 direct=of_direct,
-                imaged=BodyCounts(
+                imaged=BodySamples(
                     samples=np.concatenate([counts[k].samples * times_fewer for k in mine]),
                     echo=np.concatenate([counts[k].echo for k in mine]),
-                    unevenness=np.concatenate([counts[k].unevenness for k in mine]),
-                    strands=np.concatenate([counts[k].strands for k in mine]),
                 ),
                 single_bounce=self._single_bounce,
                 own=own,
@@ -310,7 +315,7 @@ class ImageSources:
             return [view.sectors for view in own.draw(poses, states, keep_last=True)]
         return [[every_row(one, thinning.rows) for one in view.sectors] for view in views]
 
-    def _count_bodies(self, views: Sequence[tuple[Stage, ViewSamples, np.ndarray]]) -> list[BodyCounts]:
+    def _count_bodies(self, views: Sequence[tuple[Stage, ViewSamples, np.ndarray]]) -> list[BodySamples]:
         """Count the samples on each body, by every so-manieth row where there are many.
 
         views : each with its stage and the gain of the bins
@@ -321,7 +326,7 @@ class ImageSources:
             step = max(1, sum(one.plane_echo[..., 0].size for one in view.sectors) // COUNTED)
             sectors = [every_row(one, step) for one in view.sectors]
             found = count_bodies(sectors, len(self._scene.bodies), reception)
-            return found._replace(samples=found.samples * step)  # rows of a step are as many times as high
+            return BodySamples(found.samples * step, found.echo)  # rows of a step are as many times as high
 
         counts: list = [None] * len(views)
         halves = run_halves(self._thread, lambda half: [count(*one) for one in views[half::2]])

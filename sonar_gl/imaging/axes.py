@@ -272,9 +272,8 @@ class _Axes:
         reach, across = outwards @ by, np.abs(outwards)
         if self.fan.full_circle or across @ half <= reach:  # a circle has no edge
             return by
-        return by + outwards * (
-            across @ (half + math.ceil(5 * size) + 1) - reach
-        )  # with its ground, and a line
+        with_ground = half + math.ceil(5 * size) + 1  # and a line
+        return by + outwards * (across @ with_ground - reach)
 
     def _write(
         self, canvas: np.ndarray, text: str, centre, degrees: bool = False, size: float | None = None

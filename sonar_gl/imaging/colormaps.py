@@ -9,8 +9,5 @@ ANCHORS = {
     "ice": "000000 0a2048 185090 3c94c8 96d4ec f4ffff",
 }
 DEFAULT_COLORMAP = "copper"  # what most viewers show at first
-OFFERED = (
-    *ANCHORS,
-    "jet",
-    "viridis",
-)  # by the help and on the page; `colorize` also knows the others of OpenCV
+# By the help and on the page; `colorize` also knows the others of OpenCV.
+OFFERED = (*ANCHORS, "jet", "viridis")

@@ -1098,13 +1098,30 @@ def test_what_an_included_model_states_of_its_surface_changes_the_digest(tmp_pat
     assert len(set(digests)) == len(digests)
 
 
-def test_each_field_of_a_body_is_known_to_the_digest():
+def test_each_field_of_a_body_is_known_to_the_digest(tmp_path, monkeypatch):
     """A field that the digest lacks would let a batch go on with bodies of another echo."""
-    scalars = {"name", "material", "specular", "roughness_rad", "speckle_shape"}
-    arrays = {"mesh", "surface", "pose", "reflectivity", "normals"}
-    assert {field.name for field in fields(sg.Body)} == scalars | arrays, (
-        "add a new field to the digest of scenes in sonar_gl/batch/schema.py, and then here"
+    mesh, other = trimesh.creation.box((1, 20, 20)), trimesh.creation.box((1, 20, 20.5))
+    normals = other.vertex_normals
+    body = sg.Body("wall", mesh, sg.pose(8.0), 0.5)
+    changed = {
+        "name": "floor", "mesh": other, "pose": sg.pose(8.5), "reflectivity": 0.25, "normals": normals,
+        "material": "concrete", "specular": 0.25, "roughness_rad": 0.25, "speckle_shape": 2.0,
+    }  # fmt: skip
+    assert {field.name for field in fields(sg.Body) if field.init} == set(changed), (
+        "add a new field to the digest of scenes in sonar_gl/batch/schema.py, and then another value of it here"
     )
+    path = write_job(tmp_path, 2, "")
+    text = path.read_text()
+    path.write_text(text[: text.index("[[vary.bodies]]")])
+    requests = BatchRequests(read_job(path))
+
+    def digest_of(one):
+        monkeypatch.setattr(requests, "scene", lambda index: sg.Scene([one]))
+        return Schema(requests).digest
+
+    digests = [digest_of(body), *(digest_of(replace(body, **{name: to})) for name, to in changed.items())]
+    assert len(set(digests)) == len(digests)
+    assert digest_of(replace(body)) == digests[0]
 
 
 def test_changes_of_a_sonar_go_with_a_file_beside_the_job(tmp_path, monkeypatch):

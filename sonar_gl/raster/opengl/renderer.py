@@ -38,9 +38,10 @@ NOT_READ = np.full(1, np.nan, np.float32)  # stays in place of 1/x where a lost 
 # would keep the memory of a fine one; not below MIN_PIXELS, 3 MB.
 MAX_PIXELS_PER_USED, MIN_PIXELS = 2, 1 << 16
 MAX_KEPT_PIXELS = 1 << 18  # 10 MB
-# Columns and rows about a sector, over its own, that its viewport has, too; the scissor leaves them out. A software
-# driver cuts triangles at the viewport, and rounds where their edges meet it, so that these move by up to 1/256 of a
-# sample. Cut much further away, edges that come from behind the sonar move by more: the ends that remain are float32.
+# How many columns and rows a viewport has beyond each side of its sector, over those of the sector; the scissor
+# leaves them out. A software driver cuts triangles at the viewport, and rounds where their edges meet it, so that these
+# move by up to 1/256 of a sample. Cut much further away, edges that come from behind the sonar move by more: the ends
+# that remain are float32.
 BORDER = 1
 
 
