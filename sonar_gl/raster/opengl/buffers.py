@@ -19,6 +19,10 @@ from sonar_gl.scene.scene import Scene
 
 INDIRECT_VERSION = 430  # the OpenGL version that has indirect draws with instances of any number
 INDIRECT_EXTENSIONS = {"GL_ARB_multi_draw_indirect", "GL_ARB_base_instance"}
+# How far corners on a line may lie beside it, over the largest coordinate: 2^-24 of it in each of three directions, of
+# the corner in the middle and of the line.
+ROUNDING = 2.0**-22
+FACES_AT_ONCE = 1 << 18
 
 
 def has_indirect_draws(context: moderngl.Context) -> bool:
@@ -59,6 +63,27 @@ class GrowingBuffer:
             self.buffer.write(np.ascontiguousarray(data))
 
 
+def collapse_lines(faces: np.ndarray, first: int, points: np.ndarray) -> None:
+    """Make a point, which is not drawn, of each face whose corners lie on a line but for their rounding, in place.
+
+    A driver that rounds corners to its own grid may find a sample in such a face, and has no plane for it.
+
+    Parameters
+    ----------
+    faces : (I, 3) indices, counted from `first`
+    points : (W, 3) float32
+    """
+    lowest = ROUNDING * np.abs(points).max(initial=0.0)
+    for start in range(0, len(faces), FACES_AT_ONCE):
+        part = faces[start : start + FACES_AT_ONCE]
+        a, b, c = (points[part[:, k] - first].astype(np.float64) for k in range(3))
+        edges = np.stack([b - a, c - b, a - c])
+        longest = np.sqrt((edges**2).sum(axis=2).max(axis=0))
+        double_area = np.linalg.norm(np.cross(edges[0], edges[2]), axis=1)
+        is_line = double_area <= lowest * longest
+        part[is_line] = part[is_line, :1]
+
+
 @dataclass(frozen=True, eq=False)
 class UploadedMeshes:
     """The meshes of a scene's bodies, on the CPU and in GL buffers.
@@ -95,7 +120,9 @@ class UploadedMeshes:
             levels = one.levels
             points.append(one.points)
             first = np.repeat(levels.first_vertex + n_points, levels.n_faces)
-            indices.append((levels.faces + first[:, None]).astype(np.uint32))
+            faces = (levels.faces + first[:, None]).astype(np.uint32)
+            collapse_lines(faces, n_points, one.points)
+            indices.append(faces)
             for buffer, data, default in (
                 (normals, one.normals, np.zeros(3, np.float32)),
                 (reflectivity, one.reflectivity, np.ones(1, np.float32)),
