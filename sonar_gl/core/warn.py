@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from sonar_gl.core.errors import escape_controls
 
-# That Python remembers of a module: some are new with each ping, as where distances are in them.
+# How many texts Python may remember of a module. Some are new with each ping, as where distances are in them.
 MOST_TEXTS = 1000
 
 

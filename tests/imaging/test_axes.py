@@ -229,10 +229,8 @@ def test_odd_names_of_sonars_leave_the_title_readable(monkeypatch, name, said):
     assert drawn[:20].any()
 
 
-@pytest.mark.parametrize("range_m", [0.3, 30.0, 900.0])
-@pytest.mark.parametrize("height", [1, 60, 200])
-@pytest.mark.parametrize("fov_deg", [5, 90, 130, 180, 360])
-def test_labels_of_arcs_do_not_overlap(monkeypatch, fov_deg, height, range_m):
+def arc_labels(monkeypatch):
+    """Return a list that is filled with the box of each label of an arc: left, right, top, bottom, pixels."""
     boxes = []
 
     def note(_canvas, text, place, font, size, *_more):
@@ -241,6 +239,14 @@ def test_labels_of_arcs_do_not_overlap(monkeypatch, fov_deg, height, range_m):
             boxes.append((place[0], place[0] + across, place[1] - up, place[1]))
 
     monkeypatch.setattr(axes.cv2, "putText", note)
+    return boxes
+
+
+@pytest.mark.parametrize("range_m", [0.3, 30.0, 900.0])
+@pytest.mark.parametrize("height", [1, 60, 200])
+@pytest.mark.parametrize("fov_deg", [5, 90, 130, 180, 360])
+def test_labels_of_arcs_do_not_overlap(monkeypatch, fov_deg, height, range_m):
+    boxes = arc_labels(monkeypatch)
     ping = fan_ping(fov_deg, range_m=(0.0, range_m))
     draw_axes(colorize(fan_image(ping, height)), ping)
     assert boxes or height < 60
@@ -254,14 +260,7 @@ def test_labels_of_arcs_do_not_overlap(monkeypatch, fov_deg, height, range_m):
 @pytest.mark.parametrize("fov_deg", [2, 20, 45, 90, 130, 230])
 def test_labels_of_arcs_lie_beside_the_fan_and_within_the_picture(monkeypatch, fov_deg, height, range_m):
     """Long ones, and those in the wide letters of OpenCV 4, lay on the echoes of the outermost beams."""
-    boxes = []
-
-    def note(_canvas, text, place, font, size, *_more):
-        if text.endswith(" m") and " to " not in text:
-            (across, up), _ = axes.cv2.getTextSize(text, font, size, 1)
-            boxes.append((place[0], place[0] + across, place[1] - up, place[1]))
-
-    monkeypatch.setattr(axes.cv2, "putText", note)
+    boxes = arc_labels(monkeypatch)
     ping = fan_ping(fov_deg, range_m=(0.0, range_m))
     drawn = draw_axes(colorize(fan_image(ping, height)), ping)
     fan, margin = fan_geometry(ping, height), (len(drawn) - height) // 2
