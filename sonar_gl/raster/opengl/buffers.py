@@ -66,7 +66,8 @@ class GrowingBuffer:
 def collapse_lines(faces: np.ndarray, first: int, points: np.ndarray) -> None:
     """Make a point, which is not drawn, of each face whose corners lie on a line but for their rounding, in place.
 
-    A driver that rounds corners to its own grid may find a sample in such a face, and has no plane for it.
+    A driver that rounds corners to its own grid may find a sample in such a face, and has no plane for it. The geometry
+    shader leaves out such faces, and others that are far away; software drivers draw without it.
 
     Parameters
     ----------
