@@ -12,9 +12,10 @@ from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.pipeline import make_ping
-from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.planning import plan
+from sonar_gl.engine.request import PingRequest, requests_of
 from sonar_gl.engine.run import Run
-from sonar_gl.engine.sequence import make_pings, plan, requests_of
+from sonar_gl.engine.sequence import make_pings
 from sonar_gl.engine.warm_up import warm_up
 from sonar_gl.engine.world import World
 from sonar_gl.ping import GBuffer, Ping

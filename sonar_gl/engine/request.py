@@ -1,9 +1,10 @@
-"""The request of one ping, with checked arguments."""
+"""The requests of pings, with checked arguments."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 
@@ -14,6 +15,10 @@ from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.motion import check_velocity
 from sonar_gl.noise.settings import Noise
 from sonar_gl.sonar.counts import LEVEL_BOUND_DB
+
+# arguments with one value a pose: the field of `PingRequest` that it is
+FIELDS = {"bodies": "bodies", "times_s": "time_s", "velocities": "velocity"}
+FIELDS |= {"reflectivities": "reflectivity", "waters": "water"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,3 +108,53 @@ def _names(background) -> tuple[str, ...] | None:
             f"background must be several names of bodies (got {shown(background)}; make [name] of one)"
         )
     return tuple(str(name) for name in background)
+
+
+def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
+    """Yield the request of each ping.
+
+    Parameters
+    ----------
+    poses : (4, 4) world_from_sonar of each
+    per_ping : key of FIELDS -> value of each ping, or None for none
+    common : fields of `PingRequest` that all have in common
+
+    Raises
+    ------
+    Error
+        if one of these is not one value per ping: at once where lengths are known, else at the first pose without a
+        value. Values are checked one by one.
+    """
+    columns = [(name, iter(_per_ping(values, name, poses))) for name, values in per_ping.items()]
+    poses = several_poses(poses)
+
+    def requests():
+        for number, pose in enumerate(poses):
+            values = {FIELDS[name]: _next_value(column, name, number) for name, column in columns}
+            yield PingRequest(pose, number=number, **common, **values)
+
+    return requests()
+
+
+def _next_value(column: Iterator, name: str, number: int):
+    """Return the value of the ping of this number, counted from 0; an Error if there is none."""
+    for value in column:
+        return value
+    raise Error(f"{name} must be as many as poses (got {number}; pose {number}, counted from 0, has none)")
+
+
+def several_poses(poses) -> Iterable:
+    """Return the poses, or raise an Error if this is not several of them."""
+    if not isinstance(poses, Iterable) or (isinstance(poses, np.ndarray) and poses.ndim == 2):
+        raise Error(f"poses must be several poses (got {type(poses).__name__}; make [pose] of one)")
+    return poses
+
+
+def _per_ping(values, name: str, poses) -> Iterable:
+    """Return one value per ping, or None for each; an Error if it is one value alone, or of another number."""
+    if not isinstance(values, Iterable | None) or isinstance(values, (dict, str)):
+        raise Error(f"{name} must be several, one a pose (got {shown(values)})")
+    counted = values is not None and hasattr(values, "__len__") and hasattr(poses, "__len__")
+    if counted and len(values) != len(poses):
+        raise Error(f"{name} must be as many as poses (got {len(values)} for {len(poses)} poses)")
+    return repeat(None) if values is None else values

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from functools import partial
-from itertools import repeat
 from typing import NamedTuple
 
-import numpy as np
-
-from sonar_gl.core.checks import shown
-from sonar_gl.core.errors import Error, SampleLimitError
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
-from sonar_gl.engine.adaptive import evenly_picked
 from sonar_gl.engine.error_model import Plan
 from sonar_gl.engine.flow import PingSetup
-from sonar_gl.engine.multipath import COARSEST
 from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
@@ -29,91 +23,6 @@ BATCH = 4  # pings drawn at once
 # Samples drawn at once, unless a single ping has more: 21 MB of render targets, twice, as others are summed meanwhile.
 # From half as many samples on, a ping gains nothing by being drawn with others.
 BATCH_SAMPLES = 1 << 19
-IMAGE_POSES = 5  # of a planned sequence, that decide how finely image sources are sampled
-# arguments with one value a pose: the field of `PingRequest` that it is
-FIELDS = {"bodies": "bodies", "times_s": "time_s", "velocities": "velocity"}
-FIELDS |= {"reflectivities": "reflectivity", "waters": "water"}
-
-
-def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
-    """Yield the request of each ping.
-
-    Parameters
-    ----------
-    poses : (4, 4) world_from_sonar of each
-    per_ping : key of FIELDS -> value of each ping, or None for none
-    common : fields of `PingRequest` that all have in common
-
-    Raises
-    ------
-    Error
-        if one of these is not one value per ping: at once where lengths are known, else at the first pose without a
-        value. Values are checked one by one.
-    """
-    columns = [(name, iter(_per_ping(values, name, poses))) for name, values in per_ping.items()]
-    poses = several_poses(poses)
-
-    def requests():
-        for number, pose in enumerate(poses):
-            values = {FIELDS[name]: _next_value(column, name, number) for name, column in columns}
-            yield PingRequest(pose, number=number, **common, **values)
-
-    return requests()
-
-
-def _next_value(column: Iterator, name: str, number: int):
-    """Return the value of the ping of this number, counted from 0; an Error if there is none."""
-    for value in column:
-        return value
-    raise Error(f"{name} must be as many as poses (got {number}; pose {number}, counted from 0, has none)")
-
-
-def several_poses(poses) -> Iterable:
-    """Return the poses, or raise an Error if this is not several of them."""
-    if not isinstance(poses, Iterable) or (isinstance(poses, np.ndarray) and poses.ndim == 2):
-        raise Error(f"poses must be several poses (got {type(poses).__name__}; make [pose] of one)")
-    return poses
-
-
-def _per_ping(values, name: str, poses) -> Iterable:
-    """Return one value per ping, or None for each; an Error if it is one value alone, or of another number."""
-    if not isinstance(values, Iterable | None) or isinstance(values, (dict, str)):
-        raise Error(f"{name} must be several, one a pose (got {shown(values)})")
-    counted = values is not None and hasattr(values, "__len__") and hasattr(poses, "__len__")
-    if counted and len(values) != len(poses):
-        raise Error(f"{name} must be as many as poses (got {len(values)} for {len(poses)} poses)")
-    return repeat(None) if values is None else values
-
-
-def plan(run: Run, requests: Iterable[PingRequest]) -> Plan | None:
-    """Choose the samples for all of these pings, and stay with them; if that is broken off, with those before."""
-    setups = [run.set_up(request) for request in requests]
-    with run.drawing():
-        setups = [run.with_later_bodies(setup) for setup in setups]
-        sampler, images = run.sampler, run.image_sampling
-        before = sampler.choice, images.choice
-        try:
-            chosen = sampler.fix(setups)
-            if run.image_sources is not None:
-                _fix_images(run, setups)
-        except BaseException:
-            sampler.choice, images.choice = before
-            raise
-    return chosen
-
-
-def _fix_images(run: Run, setups: Sequence[PingSetup]) -> None:
-    """Choose the samples of image sources for all of some pings, for IMAGE_POSES of many, and stay with them."""
-    images, least, errors = run.image_sampling, COARSEST, []
-    images.release()
-    for setup in evenly_picked(setups, IMAGE_POSES):
-        images.begin_alone()
-        received, _ = sample(run, setup)
-        if (found := received.drawn.images) is not None:
-            least = min(least, found.halvings)
-        if images.choice.error is not None:
-            errors.append(images.choice.error)
-    images.fix(least, max(errors, key=lambda error: error.at(1), default=None))
 
 
 class _QueuedPing(NamedTuple):
