@@ -10,7 +10,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.poses import check_pose
-from sonar_gl.engine.error_model import Plan
+from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.planning import plan
 from sonar_gl.engine.request import PingRequest, requests_of

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from time import perf_counter
 
 import sonar_gl as sg
-from sonar_gl.engine.adaptive import CHECK_EVERY
 from sonar_gl.engine.pipeline import draw, make_ping
+from sonar_gl.engine.replan_trigger import CHECK_EVERY
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
 

@@ -16,7 +16,7 @@ from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
-from sonar_gl.engine.adaptive import evenly_picked
+from sonar_gl.engine.level_search import evenly_picked
 from sonar_gl.engine.request import several_poses
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.receiver import common_noise_pattern, receiver_levels_db

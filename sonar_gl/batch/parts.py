@@ -211,7 +211,7 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
             for request in spread:
                 setup = run.set_up(request.for_sonar(mount))
                 with run.drawing():
-                    tried, plan = run.sampler.choose(setup)
+                    tried, plan = run.sampler.search.choose(setup)
                     has_echo = tried.echo.total > 0
                 decides = plan.worst_body_estimate / WORST_BODY > plan.error_estimate
                 body, n_samples = bodies[plan.worst_body * decides], plan.n_samples

@@ -15,7 +15,7 @@ from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_fr
 from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
-from sonar_gl.engine.error_model import Plan
+from sonar_gl.engine.flow import Plan
 from sonar_gl.noise.settings import Noise
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator

@@ -1,52 +1,29 @@
-"""The choice of the cheapest samples that keep a tolerance: for one ping, for planned poses, or as the sonar moves.
+"""Samples that keep a tolerance as the sonar moves, while no ping takes much longer than those before it.
 
-As the sonar moves, no ping may take much longer than those before it: a check of the error costs nearly another ping,
-and what it finds changes the samples of later pings, in steps. Until finer samples have been checked, pings carry the
-error that the coarser ones had. A ping far from the one before tells nothing of the samples that it needs: they are
-chosen from it alone.
+A check of the error costs nearly another ping, and what it finds changes the samples of later pings, in steps. Until
+finer samples have been checked, pings carry the error that the coarser ones had. A ping far from the one before tells
+nothing of the samples that it needs: they are chosen from it alone.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.engine.error_model import COARSER, ErrorModel, Plan, TriedView
-from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.error_model import COARSER, Judgement
+from sonar_gl.engine.flow import PingSetup, Placement, Plan, ReceivedPing, Resolution
+from sonar_gl.engine.level_search import LevelSearch
+from sonar_gl.engine.replan_trigger import ReplanTrigger
 from sonar_gl.engine.stage import StageCache
-from sonar_gl.scene.state import SceneState
-from sonar_gl.sonar.sampling import (
-    LEVELS_PER_HALF,
-    Sampling,
-    ToleranceWarning,
-    level_of,
-    sampling_at,
-    typical_level,
-)
-from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sampling import LEVELS_PER_HALF, ToleranceWarning, sampling_at
 
-MAX_POSES = 24  # of a sequence are tried
-# A ping alone is first tried with as many samples, or what most pings need for the tolerance if that is more: so many
-# take less time than the rest of a ping, which another try would repeat.
-FIRST_SAMPLES = 1 << 14
-# Finer by at most so many levels at once, four times the samples: estimates from few samples are rough. What is tried
-# on the way costs a third of the last try.
-MOST_STEPS_ALONE = 4
-# A ping by itself that needs so many times fewer samples than those before gives back their memory. Each one could, but
-# a ping that needs as much again would take the time to get it anew.
-MUCH_FEWER = 4
-
-CHECK_EVERY = 24  # pings: a check costs nearly another one
-CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
-CHECK_BRIGHTER = 2.0  # times the reflectivity of a body
-CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
+CHECK_CHANGE = 0.2  # of the whole echo
 # A ping may cost so many times the median of so many before it; what takes the time of a ping beside its samples costs
 # as much as so many more, also in a check. By the pings of `tools/bench live`.
 MOST_COST, RECENT, FIXED_SAMPLES = 2.4, 100, 45_000
@@ -57,15 +34,14 @@ class LastCheck(NamedTuple):
 
     Attributes
     ----------
-    pose, state : of that ping
+    placement : Placement of that ping
     total : the sum of its echo
-    number : how many pings had been registered by then
+    n_pings : of the history by then
     """
 
-    pose: np.ndarray
-    state: SceneState
+    placement: Placement
     total: float
-    number: int
+    n_pings: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +51,17 @@ class Choice:
     Attributes
     ----------
     level : sampling level of the last ping, or of the first to come
-    plan : the Plan behind it; None before the first ping
-    check : the LastCheck; None before the first ping
+    finest : the finest level that is known to fit, where the sonar is
+    plan : the Plan behind it, by the last check; None before the first ping
+    last_check : LastCheck; None before the first ping
     planned : `_view_of` each ping for which the samples are fixed; None while they are chosen ping by ping
     is_due : the error is to be estimated as soon as that costs no more than a ping may
     """
 
     level: int
+    finest: int
     plan: Plan | None = None
-    check: LastCheck | None = None
+    last_check: LastCheck | None = None
     planned: frozenset[int] | None = None
     is_due: bool = False
 
@@ -93,126 +71,14 @@ class PingHistory(NamedTuple):
 
     Attributes
     ----------
-    number : how many
-    pose, state : of the last one; None before the first
+    n_pings : how many
+    last : Placement of the last one; None before the first
     costs : of the last RECENT of them, in samples; empty where the last one is still to choose its samples, alone
     """
 
-    number: int = 0
-    pose: np.ndarray | None = None
-    state: SceneState | None = None
+    n_pings: int = 0
+    last: Placement | None = None
     costs: tuple[float, ...] = ()
-
-
-class ChosenView(NamedTuple):
-    """A view whose samples were chosen from it alone.
-
-    Attributes
-    ----------
-    tried : TriedView, the last one that was tried
-    plan : Plan
-    """
-
-    tried: TriedView
-    plan: Plan
-
-
-class Sampler(Protocol):
-    """What chooses the samples of pings.
-
-    Attributes
-    ----------
-    choice : all that checks and plans change, to be put back where a plan is broken off
-    history : all that each ping changes, to be put back where a ping is to be made again
-    resolution : of the last ping, or of the first to come
-    tolerance : that it keeps, or None
-    """
-
-    choice: object
-    history: object
-    resolution: Resolution
-    tolerance: float | None
-
-    def resolution_for(self, setup: PingSetup) -> Resolution:
-        """Register a ping, and return its samples."""
-
-    def review(self, received: ReceivedPing) -> Resolution | None:
-        """Return the samples to draw the ping with once more, or None if it is good."""
-
-    def coarser(self, error: SampleLimitError) -> Resolution:
-        """Return fewer samples for a ping whose samples are more than fit, or raise the error again."""
-
-    def register(self, setup: PingSetup) -> bool:
-        """Add a ping to come to the history; return whether its error is to be estimated."""
-
-    def has_changed(self, total: float) -> bool:
-        """Return whether something came into view, or left, by the sum of the echo."""
-
-    def fix(self, setups: Sequence[PingSetup]) -> Plan | None:
-        """Choose samples for all of some pings, and stay with them."""
-
-    def is_apart(self, setup: PingSetup) -> bool:
-        """Return whether the samples of a ping to come are chosen from it alone."""
-
-    def register_apart(self, setup: PingSetup) -> None:
-        """Add a ping to the history whose samples are being chosen from it alone, by this sampler or another one."""
-
-    def follow(self, setup: PingSetup, plan: Plan, total: float, number: int) -> None:
-        """Have later pings follow samples that were chosen from a ping alone.
-
-        total : the sum of its echo
-        number : of the ping in the history, to which it is added if it was not registered
-        """
-
-    def error_estimate(self, setup: PingSetup) -> float | None:
-        """Return the estimated error of a ping."""
-
-
-class FixedSampling:
-    """Samples that were given: nothing to choose, nothing promised. A `Sampler`."""
-
-    tolerance = choice = history = None
-
-    def __init__(self, stages: StageCache, sampling: Sampling):
-        self.resolution = Resolution(stages.stage(sampling))
-
-    def resolution_for(self, setup: PingSetup) -> Resolution:
-        """Return the samples."""
-        return self.resolution
-
-    def review(self, received: ReceivedPing) -> None:
-        """Return None: there are no others."""
-
-    def coarser(self, error: SampleLimitError) -> Resolution:
-        """Raise the error."""
-        raise error
-
-    def register(self, setup: PingSetup) -> bool:
-        """Return False."""
-        return False
-
-    def has_changed(self, total: float) -> bool:
-        """Return False."""
-        return False
-
-    def fix(self, setups: Sequence[PingSetup]) -> None:
-        """Return None: the samples are fixed."""
-
-    def is_apart(self, setup: PingSetup) -> bool:
-        """Return False."""
-        return False
-
-    def error_estimate(self, setup: PingSetup) -> None:
-        """Return None: there is no estimate."""
-
-
-def evenly_picked(things: Sequence, most: int) -> list:
-    """Return at most so many of some things, evenly apart, the first and the last among them.
-
-    >>> evenly_picked(range(10), 4)
-    [0, 3, 6, 9]
-    """
-    return [things[k] for k in np.unique(np.linspace(0, len(things) - 1, most).round().astype(int))]
 
 
 class AdaptiveSampling:
@@ -226,19 +92,18 @@ class AdaptiveSampling:
 
     Attributes
     ----------
+    search : LevelSearch, for a ping by itself
     choice : Choice; whoever takes a step of several that may be broken off keeps it, and puts it back
     history : PingHistory
     """
 
     def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
-        self._model, self._stages, self._sonar = ErrorModel(stages, tolerance, gain), stages, stages.sonar
+        self.search = LevelSearch(stages, tolerance, gain)
+        self._model, self._stages, self._sonar = self.search.model, stages, stages.sonar
         self.tolerance = self._model.tolerance
-        self._guess = min(typical_level(self.tolerance), self._model.finest)
-        self._first = max(self._guess, level_of(self._sonar, FIRST_SAMPLES))
         self._trigger, self._has_warned = ReplanTrigger(self._sonar, self._model.greatest_backscatter), False
-        self.choice, self.history = Choice(self._guess), PingHistory()
+        self.choice, self.history = Choice(self.search.usual, self.search.finest), PingHistory()
         self._resolution = None, None  # the last level, and its Resolution
-        self._room = 0  # samples of the largest recent ping by itself, whose memory is kept
 
     @property
     def resolution(self) -> Resolution:
@@ -255,62 +120,74 @@ class AdaptiveSampling:
         return self.choice.plan
 
     def resolution_for(self, setup: PingSetup) -> Resolution:
-        """Register a ping, and return its samples; those of the first ping keep the tolerance."""
-        check = self.register(setup)
+        """Add a ping to the history, and return its samples; those of the first ping keep the tolerance."""
+        self.history = self.history_with(setup)
+        check = self.is_check_due(self.history)
         if check and self.plan is None:
-            choice = self._search(setup, self.choice.level)
-            self._warn_if_unmet(choice.plan)
-            self.choice = choice
-            return replace(self.resolution, is_final=True)
+            return self._search(setup, self.choice.level)
         return replace(self.resolution, check=check)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
-        """Estimate the error of a ping if that is due; return other samples if it is to be sampled again."""
-        drawn, total = received.drawn, received.direct.total
-        resolution, level = drawn.resolution, self.choice.level
+        """Estimate the error of a ping if that is due; return other samples if it is to be sampled again.
+
+        It is if what came into view is the first echo of all. Otherwise finer or coarser samples are those of the next
+        pings, so that none takes much longer than those before.
+        """
+        drawn, total, choice = received.drawn, received.direct.total, self.choice
+        setup, resolution = drawn.setup, drawn.resolution
         if resolution.is_final or not (resolution.check or self.has_changed(total)):
             return None
-        is_first = self.choice.check.total <= 0 < total
-        if not (resolution.check or is_first or self._can_check()):
-            self.choice = self.choice if self.choice.is_due else replace(self.choice, is_due=True)
+        is_first_echo = choice.last_check.total <= 0 < total
+        if not (resolution.check or is_first_echo or self._can_check(self.history)):
+            self.choice = choice if choice.is_due else replace(choice, is_due=True)
             return None
         tried = self._model.tried(resolution.stage, drawn.view, received.direct)
-        judged = self._model.judge(drawn.setup, level, tried)
-        choice = replace(
-            self.choice, plan=judged.plan, check=self._check_of(drawn.setup, total), is_due=False
-        )
-        is_wrong = (
-            level < self._model.finest if judged.steps > 0 else level > 0 and judged.steps <= -LEVELS_PER_HALF
-        )
-        is_searched = is_wrong and is_first
-        if is_searched:
-            choice = self._search(drawn.setup, level)
-        elif is_wrong:
-            choice = self._followed(choice, level + judged.steps)
-        self.choice = choice
-        if not (is_wrong and choice.is_due):
-            self._warn_if_unmet(choice.plan)
-        # a search has drawn other samples over those of this ping, of which image sources may still be in need
-        if choice.is_due or (choice.level == level and not is_searched):
-            return None
+        judged = self._model.judge(setup, choice.level, tried)
+        is_kept = self._is_kept(choice, judged)
+        if is_first_echo and not is_kept:
+            return self._search(setup, choice.level)
+        checked = replace(choice, plan=judged.plan, last_check=self._check_of(setup, total), is_due=False)
+        if is_kept:
+            self.choice = checked
+            self._warn_if_unmet(checked.plan)
+        else:
+            self.choice = self._moved(checked, choice.level + judged.steps)
+        return None
+
+    def _is_kept(self, choice: Choice, judged: Judgement) -> bool:
+        """Return whether pings keep their level: finer samples are not needed, or do not fit, or half would not do."""
+        if judged.steps > 0:
+            return choice.level >= choice.finest
+        return choice.level == 0 or judged.steps > -LEVELS_PER_HALF
+
+    def _search(self, setup: PingSetup, first: int) -> Resolution:
+        """Choose the coarsest level that keeps the tolerance in a ping, and return its samples to draw the ping with.
+
+        Also if the level is that of before: the search has drawn other samples over those of the ping, of which image
+        sources may still be in need.
+        """
+        found = self.search.find_coarsest(setup, first)
+        check = self._check_of(setup, found.total)
+        self._warn_if_unmet(found.plan)
+        self.choice = Choice(found.plan.level, found.finest, found.plan, check)
         return replace(self.resolution, is_final=True)
 
-    def _followed(self, choice: Choice, level: int) -> Choice:
+    def _moved(self, choice: Choice, level: int) -> Choice:
         """Return a choice of finer or coarser samples for the next pings, which are to be checked.
 
         Finer by steps that can be checked at once; where a ping may not cost as much, without a check for now. The
         estimate remains that of the last check: above the tolerance, if it asked for finer samples.
         """
-        wanted, most = max(0, min(level, self._model.finest)), self._most_cost()
+        wanted, most = max(0, min(level, choice.finest)), self._most_cost(self.history)
         finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
         checkable = [n for n in finer if self._cost(n, check=True) <= most]
-        level = (checkable or finer or [min(wanted, choice.level)])[-1]
+        level, finest = (checkable or finer or [min(wanted, choice.level)])[-1], choice.finest
         if level < choice.level:
-            self._model.forget_limit()
+            finest = self.search.finest
             self._stages.drop_large()
         # made by this ping: the next one, if it is checked, has to make the coarser stage
         self._model.stage_at(level)
-        return replace(choice, level=level, is_due=True)
+        return replace(choice, level=level, finest=finest, is_due=True)
 
     def _cost(self, level: int, check: bool = False) -> float:
         """Return about what a ping costs, with a check of its error or without, in samples of the whole fan."""
@@ -320,42 +197,33 @@ class AdaptiveSampling:
         cost = n_samples + FIXED_SAMPLES
         return cost + n_samples / COARSER + FIXED_SAMPLES if check else cost
 
-    def _most_cost(self) -> float:
-        return MOST_COST * median(self.history.costs)
+    def _most_cost(self, history: PingHistory) -> float:
+        """Return what the last ping of a history, which is one of RECENT itself, may cost."""
+        return MOST_COST * median(history.costs)
 
-    def _can_check(self) -> bool:
-        """Return whether a ping with a check costs no more than a ping may."""
-        return self._cost(self.choice.level, check=True) <= self._most_cost()
+    def _can_check(self, history: PingHistory) -> bool:
+        """Return whether the last ping of a history, with a check, costs no more than a ping may."""
+        return self._cost(self.choice.level, check=True) <= self._most_cost(history)
 
     def coarser(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
         level = self.choice.level - 1
         if level < 0 or self.choice.planned is not None:
             raise error
-        self._model.finest = level
-        self.choice = replace(self.choice, level=level, is_due=True)
+        self.choice = replace(self.choice, level=level, finest=level, is_due=True)
         return replace(self.resolution, check=True)
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, since the last check, by the sum of the echo."""
         if self.choice.planned is not None:
             return False
-        before = 0.0 if self.choice.check is None else self.choice.check.total
+        before = 0.0 if self.choice.last_check is None else self.choice.last_check.total
         return abs(total - before) > CHECK_CHANGE * before
 
     def fix(self, setups: Sequence[PingSetup]) -> Plan:
-        """Choose for all of some pings, for MAX_POSES of many, and stay with it."""
-        # each as if it came first: the order does not count
-        plans = [self._search(setup, self._guess).plan for setup in evenly_picked(setups, MAX_POSES)]
-        level = max(plan.level for plan in plans)
-        finest = [plan for plan in plans if plan.level == level]
-        plan = replace(
-            max(finest, key=lambda plan: plan.worst_body_estimate),
-            error_estimate=max(plan.error_estimate for plan in finest),
-            met=all(plan.met for plan in plans),
-        )
-        planned = frozenset(map(_view_of, setups))
-        self.choice = Choice(level, plan, planned=planned)
+        """Choose for all of some pings, as `LevelSearch.find_for_all`, and stay with it."""
+        plan, planned = self.search.find_for_all(setups), frozenset(map(_view_of, setups))
+        self.choice = Choice(plan.level, self.search.finest, plan, planned=planned)
         self._warn_if_unmet(plan)
         return plan
 
@@ -364,120 +232,60 @@ class AdaptiveSampling:
         planned = self.choice.planned
         return None if planned is not None and _view_of(setup) not in planned else self.plan.bound
 
-    def register(self, setup: PingSetup) -> bool:
-        """Add a ping to come to the history; return whether its error is to be estimated."""
+    def history_with(self, setup: PingSetup) -> PingHistory:
+        """Return the history with a ping to come, which has the samples of those before; planned ones are not in it."""
+        before = self.history
         if self.choice.planned is not None:
+            return before
+        costs = *before.costs[1 - RECENT :], self._cost(self.choice.level)
+        return PingHistory(before.n_pings + 1, setup.placement, costs)
+
+    def is_check_due(self, history: PingHistory) -> bool:
+        """Return whether the error of the last ping of a history is to be estimated."""
+        choice, check = self.choice, self.choice.last_check
+        if choice.planned is not None:
             return False
-        pose, state, before, check = setup.head_pose, setup.state, self.history, self.choice.check
-        cost, number = self._cost(self.choice.level), before.number + 1
-        self.history = PingHistory(number, pose, state, (*before.costs[1 - RECENT :], cost))
         # the first one, or one that follows a ping that is still to choose
-        if check is None or not before.costs:
+        if check is None or len(history.costs) == 1:
             return True
-        is_due = self.choice.is_due or self._trigger.is_due(check, pose, state, number - check.number)
-        return is_due and self._can_check()
+        n_pings = history.n_pings - check.n_pings
+        is_due = choice.is_due or self._trigger.is_due(check.placement, history.last, n_pings)
+        return is_due and self._can_check(history)
 
     def is_apart(self, setup: PingSetup) -> bool:
         """Return whether a ping asks to be sampled by itself, or lies far from the last one."""
         if setup.request.alone:
             return True
-        is_first, is_planned = self.choice.check is None, self.choice.planned is not None
+        is_first, is_planned = self.choice.last_check is None, self.choice.planned is not None
         if is_first or is_planned:
             return False
-        return self._trigger.is_far(self.history, setup.head_pose, setup.state)
+        return self._trigger.is_far(self.history.last, setup.placement)
 
-    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView:
-        """Try finer samples until they keep the tolerance; the last that were tried are those of the ping.
+    def history_with_apart(self, setup: PingSetup) -> PingHistory:
+        """Return the history with a ping to come whose samples are being chosen from it alone."""
+        return PingHistory(self.history.n_pings + 1, setup.placement)
 
-        The choice depends on this ping alone.
+    def follow(self, setup: PingSetup, plan: Plan, total: float, n_pings: int) -> None:
+        """Warn if samples that were chosen from a ping alone do not suffice; then have later pings follow them.
 
-        Parameters
-        ----------
-        further : states of which views are drawn along
+        total : the sum of its echo
+        n_pings : of the history that ends with it
         """
-        tried, plan = self._try_alone(setup, further)
-        if MUCH_FEWER * plan.n_samples < self._room:
-            self._stages.drop_large()
-            self._room = 0
-        self._room = max(self._room, plan.n_samples)
-        return ChosenView(tried, plan)
-
-    def _try_alone(self, setup: PingSetup, further: Sequence[SceneState]) -> ChosenView:
-        """Return the first view whose samples keep the tolerance, or that with the most samples that fit."""
-        level, model, before = self._first, self._model, None
-        limit = model.finest
-        try:
-            model.forget_limit()
-            while True:
-                level = min(level, model.finest)
-                try:
-                    tried = model.draw(setup, level, further=further, for_labels=setup.request.labels)
-                    judged = model.judge(setup, level, tried, before)
-                except SampleLimitError:
-                    if level == 0:
-                        raise
-                    model.finest, before = level - 1, None
-                    continue
-                if judged.steps <= 0 or level == model.finest:
-                    return ChosenView(tried, judged.plan)
-                level, before = level + min(judged.steps, MOST_STEPS_ALONE), tried
-        except BaseException:
-            model.finest = limit  # of where the pings before were made
-            raise
-
-    def register_apart(self, setup: PingSetup) -> None:
-        """Add a ping to the history whose samples are being chosen from it alone."""
-        self.history = PingHistory(self.history.number + 1, setup.head_pose, setup.state)
-
-    def follow(self, setup: PingSetup, plan: Plan, total: float, number: int) -> None:
-        """Warn if samples that were chosen from a ping alone do not suffice; then have later pings follow them."""
         self._warn_if_unmet(plan)
         if setup.request.alone:
             return
-        pose, state, model = setup.head_pose, setup.state, self._model
-        choice, history = Choice(plan.level, plan, LastCheck(pose, state, total, number)), self.history
-        if number >= history.number:  # else later ones were registered meanwhile
+        finest = self.search.finest if plan.met else plan.level
+        choice = Choice(plan.level, finest, plan, LastCheck(setup.placement, total, n_pings))
+        history = self.history
+        if n_pings >= history.n_pings:  # else later ones were added meanwhile
             costs = (float(plan.n_samples + FIXED_SAMPLES),)  # another place has other costs
-            history = PingHistory(number, pose, state, costs)
-        model.forget_limit()
-        if not plan.met:
-            model.finest = plan.level
+            history = PingHistory(n_pings, setup.placement, costs)
         # in one step: a ping near the one before this, after an interrupt between, would follow this choice
         self.choice, self.history = choice, history
 
     def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
-        return LastCheck(setup.head_pose, setup.state, total, self.history.number)
-
-    def _search(self, setup: PingSetup, level: int) -> Choice:
-        """Find the coarsest level that keeps the tolerance in this ping; begin with `level`."""
-        model = self._model
-        model.forget_limit()
-        failed, kept, found, total = -1, model.finest + 1, {}, 0.0
-        level = min(level, model.finest)
-        while level not in found:
-            try:
-                tried = model.draw(setup, level)
-                found[level] = judged = model.judge(setup, level, tried)
-            except SampleLimitError:
-                if level == 0:
-                    raise
-                model.finest = level - 1
-                kept = min(kept, level)
-                level = max(level - 1, failed)
-                continue
-            total, steps = tried.echo.total, judged.steps
-            if steps > 0:
-                failed = max(failed, level)
-            else:
-                kept = min(kept, level)
-            if -2 < steps <= 0:  # another try would gain nothing
-                break
-            level = min(max(level + steps, failed + 1), kept - 1)
-            if level <= failed:
-                level = min(kept, model.finest)
-        chosen = Choice(level, found[level].plan, self._check_of(setup, total))
-        self._stages.drop_large()
-        return chosen
+        """Return the LastCheck of a ping that ends the history."""
+        return LastCheck(setup.placement, total, self.history.n_pings)
 
     def _warn_if_unmet(self, plan: Plan) -> None:
         """Warn of a tolerance that cannot be kept, once until it can.
@@ -500,83 +308,9 @@ class AdaptiveSampling:
         self._has_warned = True
 
 
-class ReplanTrigger:
-    """Decides when to estimate the error again: sonar or bodies have moved, or bodies changed, since the last check.
-
-    Parameters
-    ----------
-    sonar : Sonar
-    backscatter : function of a state to the most that each body returns in it
-    """
-
-    def __init__(self, sonar: Sonar, backscatter: Callable[[SceneState], np.ndarray]):
-        self._backscatter = backscatter
-        self._far_m = CHECK_MOVE * sonar.range_max_m
-        turn_deg = min(CHECK_TURN_DEG, sonar.azimuth_fov_deg / 4, sonar.elevation_fov_deg / 2)
-        self._far_rad = math.radians(turn_deg)
-
-    def is_due(self, last: LastCheck, pose, state: SceneState, n_pings: int) -> bool:
-        """Return whether sonar or bodies have changed much since the last check, or a little for `n_pings`, long."""
-        moved, turned, brighter = self._change_since(last, pose, state)
-        if moved <= 0.0 and turned < 1e-6 and brighter == 1.0:
-            return False
-        return self._is_much(moved, turned, brighter) or n_pings >= CHECK_EVERY
-
-    def is_far(self, last: LastCheck | PingHistory, pose, state: SceneState) -> bool:
-        """Return whether sonar or bodies have changed much since some ping, or bodies came or went."""
-        return self._is_much(*self._change_since(last, pose, state))
-
-    def _is_much(self, moved: float, turned: float, brighter: float) -> bool:
-        return moved > self._far_m or turned > self._far_rad or brighter > CHECK_BRIGHTER
-
-    def _brighter(self, before: SceneState, after: SceneState) -> float:
-        """Return by how many times at most a body returns more, or less, than in another state with the same bodies."""
-        if after.reflectivity is before.reflectivity:
-            return 1.0
-        own, other = (self._backscatter(state)[after.present] for state in (before, after))
-        high, low = np.maximum(own, other), np.minimum(own, other)
-        return float(np.where(high > low, high / np.maximum(low, 1e-12), 1.0).max(initial=1.0))
-
-    def _change_since(self, last: LastCheck | PingHistory, pose, state: SceneState) -> tuple[float, ...]:
-        """Return by how much sonar or bodies have moved and turned since some ping, and become brighter or darker.
-
-        Infinite if bodies came or went.
-        """
-        moved, turned = _motion_of_one(last.pose, pose)
-        before = last.state
-        if state is not before:
-            if len(state.present) != len(before.present) or (state.present != before.present).any():
-                return math.inf, math.inf, math.inf
-            bodies_moved, bodies_turned = _motion(before.poses, state.poses)
-            moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
-        return moved, turned, self._brighter(before, state)
-
-
 def _view_of(setup: PingSetup) -> int:
     """Return a hash of what determines the echo of a ping: where all is, and how much it and the water return."""
     state = setup.state
     arrays = setup.head_pose, state.present, state.poses, state.reflectivity, state.bubbles, setup.gain
     # plus 0, since -0.0 has other bytes
     return hash(tuple(None if one is None else (one + 0).tobytes() for one in arrays))
-
-
-def _motion(before, after) -> tuple[float, float]:
-    """Return by how much at most some (n, 4, 4) poses have moved, metres, and turned, radians."""
-    if not len(before):
-        return 0.0, 0.0
-    apart = after[:, :3, 3] - before[:, :3, 3]
-    moved = math.sqrt(float((apart * apart).sum(axis=1).max()))
-    return moved, _angle_of((before[:, :3, :3] * after[:, :3, :3]).sum(axis=(1, 2)).min())
-
-
-def _motion_of_one(before, after) -> tuple[float, float]:
-    """Return the same of one (4, 4) pose, without NumPy, whose calls take longer: each ping does this a few times."""
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = before.tolist()
-    (p, q, r, u), (j, k, m, v), (n, o, s, w), _ = after.tolist()
-    trace = a * p + b * q + c * r + d * j + e * k + f * m + g * n + h * o + i * s
-    return math.dist((x, y, z), (u, v, w)), _angle_of(trace)
-
-
-def _angle_of(trace: float) -> float:
-    """Return the angle of the rotation that leads from one matrix to another; `trace` : the sum of their products."""
-    return math.acos(min(1.0, max(-1.0, (float(trace) - 1) / 2)))

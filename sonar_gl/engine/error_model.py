@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, BodySums
 from sonar_gl.engine.difference import share_of_difference, wrong_share
-from sonar_gl.engine.flow import PingSetup
+from sonar_gl.engine.flow import PingSetup, Plan
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.engine.visibility import (
     BODY_ERROR_RATE,
@@ -34,10 +33,8 @@ from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import (
     ERROR_RATE,
-    FINEST_LEVEL,
     LEVELS_PER_HALF,
     WORST_BODY,
-    Sampling,
     check_tolerance,
     part_of,
     sampling_at,
@@ -51,39 +48,6 @@ UNEVEN_FACTOR = 1.5  # of the standard deviation of an echo whose faces return u
 # With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
 MAX_COMPARED_SAMPLES = 1000
 MAX_STEPS = 8  # at a time: estimates from very few samples are rough
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The samples that were chosen for a tolerance.
-
-    Attributes
-    ----------
-    sampling : Sampling
-    level : sampling level
-    error_estimate : the error stays below, in 95 of 100 cases
-    worst_body_estimate : the relative error of any body's own echo likewise
-    worst_body : number of that body, 0 for none
-    met : whether the tolerance is met
-    n_samples : samples of the whole fan, with those beyond field of view and aperture
-    """
-
-    sampling: Sampling
-    level: int
-    error_estimate: float
-    worst_body_estimate: float
-    worst_body: int
-    met: bool
-    n_samples: int
-
-    @property
-    def bound(self) -> float:
-        """The estimated error; if the tolerance is not met, the larger of it and what breaks the promise of a body.
-
-        It is above the tolerance if and only if the plan is not met.
-        """
-        bodies = 0.0 if self.met else self.worst_body_estimate / WORST_BODY
-        return max(self.error_estimate, bodies)
 
 
 class Judgement(NamedTuple):
@@ -146,19 +110,14 @@ class ErrorModel:
 
     Attributes
     ----------
-    tolerance
-    finest : the finest sampling level that is known to fit, where the sonar is; see `forget_limit`
+    tolerance : checked
     """
 
     def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
-        self.tolerance, self.finest = check_tolerance(tolerance), FINEST_LEVEL
+        self.tolerance = check_tolerance(tolerance)
         self._stages, self._sonar = stages, stages.sonar
         self._gain, self._extents = gain, BodyExtents(self.bodies, stages.acoustics.specular)
         self._reach_rad = stages.acoustics.receive_support_rad(self._sonar)
-
-    def forget_limit(self) -> None:
-        """Take all sampling levels as possible: how many samples fit depends on how much of the fan bodies fill."""
-        self.finest = FINEST_LEVEL
 
     @property
     def bodies(self) -> list:

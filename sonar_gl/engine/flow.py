@@ -17,6 +17,20 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import Stage
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
+from sonar_gl.sonar.sampling import WORST_BODY, Sampling
+
+
+class Placement(NamedTuple):
+    """Where the sonar and the bodies are in a ping.
+
+    Attributes
+    ----------
+    pose : (4, 4) world_from_head
+    state : SceneState
+    """
+
+    pose: np.ndarray
+    state: SceneState
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +65,44 @@ class PingSetup:
     needs_lobes: bool = False
     texture: np.ndarray | None = None
     n_plumes: int = 0
+
+    @property
+    def placement(self) -> Placement:
+        """Where the sonar and the bodies are."""
+        return Placement(self.head_pose, self.state)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The samples that were chosen for a tolerance.
+
+    Attributes
+    ----------
+    sampling : Sampling
+    level : sampling level
+    error_estimate : the error stays below, in 95 of 100 cases
+    worst_body_estimate : the relative error of any body's own echo likewise
+    worst_body : number of that body, 0 for none
+    met : whether the tolerance is met
+    n_samples : samples of the whole fan, with those beyond field of view and aperture
+    """
+
+    sampling: Sampling
+    level: int
+    error_estimate: float
+    worst_body_estimate: float
+    worst_body: int
+    met: bool
+    n_samples: int
+
+    @property
+    def bound(self) -> float:
+        """The estimated error; if the tolerance is not met, the larger of it and what breaks the promise of a body.
+
+        It is above the tolerance if and only if the plan is not met.
+        """
+        bodies = 0.0 if self.met else self.worst_body_estimate / WORST_BODY
+        return max(self.error_estimate, bodies)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,8 @@ import numba
 
 from sonar_gl.core.cores import count_cores
 from sonar_gl.core.worker import Job, JobThread, held
-from sonar_gl.engine.adaptive import AdaptiveSampling
-from sonar_gl.engine.error_model import Plan
-from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
+from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
+from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.pipeline import choose_samples, draw, receive, receive_chosen
 from sonar_gl.engine.run import Run
@@ -45,7 +44,7 @@ class PingWorker:
         self._images = None
         if acoustics.multipath != "none":
             self._images = ImageSources(self._stages, None, world.scene, run.tolerance)
-        self._sampling = self._sampler = None
+        self._sampling = self._search = None
         self._tolerance, self._gain = run.tolerance, run.instrument.gain
         self._thread, self._making = JobThread(NAME), Lock()
 
@@ -77,9 +76,9 @@ class PingWorker:
         def make() -> tuple[ReceivedPing, Plan]:
             with held(self._making):
                 images = self._images_in(scene)
-                if self._sampler is None:
-                    self._sampler = AdaptiveSampling(self._stages, self._tolerance, self._gain)
-                chosen = choose_samples(self._sampler.choose, setup)
+                if self._search is None:
+                    self._search = LevelSearch(self._stages, self._tolerance, self._gain)
+                chosen = choose_samples(self._search, setup)
                 return receive_chosen(images, setup, chosen, halvings), chosen.plan
 
         return Job(make, IN_USE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -20,9 +20,9 @@ from sonar_gl.beamform.water_surface import water_surface
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.engine.adaptive import ChosenView
 from sonar_gl.engine.flow import DrawnPing, FurtherStates, PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.instrument import Instrument
+from sonar_gl.engine.level_search import ChosenView, LevelSearch
 from sonar_gl.engine.motion import shown_in_motion
 from sonar_gl.engine.multipath import ImageSources, ImageSourceSamples, receive_images
 from sonar_gl.engine.provenance import SampleOrigin
@@ -50,8 +50,8 @@ def sample(run: Run, setup: PingSetup) -> tuple[ReceivedPing, PingReport]:
 def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping as `sample` does, with image sources sampled as the run has them."""
     if run.sampler.is_apart(setup):
-        chosen = choose_samples(run.sampler.choose, setup)
-        run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.number + 1)
+        chosen = choose_samples(run.sampler.search, setup)
+        run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.n_pings + 1)
         try:
             received = receive_chosen(run.image_sources, setup, chosen, run.image_sampling.begin_alone())
             resolution = run.review(received)
@@ -77,9 +77,9 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
     return received
 
 
-def choose_samples(choose: Callable[..., ChosenView], setup: PingSetup) -> ChosenView:
-    """Return the views of a ping with samples chosen from it alone, by `choose` of an AdaptiveSampling."""
-    return choose(setup, further_states(setup).needed)
+def choose_samples(search: LevelSearch, setup: PingSetup) -> ChosenView:
+    """Return the views of a ping with samples chosen from it alone."""
+    return search.choose(setup, further_states(setup).needed)
 
 
 def receive_chosen(

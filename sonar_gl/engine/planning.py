@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from sonar_gl.engine.adaptive import evenly_picked
-from sonar_gl.engine.error_model import Plan
-from sonar_gl.engine.flow import PingSetup
+from sonar_gl.engine.flow import PingSetup, Plan
+from sonar_gl.engine.level_search import evenly_picked
 from sonar_gl.engine.multipath import COARSEST
 from sonar_gl.engine.pipeline import sample
 from sonar_gl.engine.request import PingRequest

@@ -13,7 +13,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import SampleLimitError, closed_error
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, held
-from sonar_gl.engine.adaptive import AdaptiveSampling, FixedSampling
+from sonar_gl.engine.adaptive import AdaptiveSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.image_sampling import ImageSampling, MultipathEcho
 from sonar_gl.engine.instrument import Instrument
@@ -21,6 +21,7 @@ from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.no_echo import why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.sampler import FixedSampling
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import IN_USE, World
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES, MAX_SAMPLES

@@ -11,8 +11,7 @@ from typing import NamedTuple
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
-from sonar_gl.engine.error_model import Plan
-from sonar_gl.engine.flow import PingSetup
+from sonar_gl.engine.flow import PingSetup, Plan
 from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
@@ -93,7 +92,7 @@ class _Upcoming:
         if setup.request.alone or not sampler.is_apart(setup):
             return None
         before = sampler.history
-        sampler.register_apart(setup)
+        sampler.history = sampler.history_with_apart(setup)
         self._setups.popleft()
         self._history = sampler.history
         return _QueuedPing(setup, before)
@@ -108,15 +107,12 @@ class _Upcoming:
             sectors = sampler.resolution.stage.fan.sectors
             most = min(most, BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors))
         while self._setups and len(batch) < max(most, 1):
-            setup, before = self._run.with_later_bodies(self._setups[0]), sampler.history
-            if sampler.is_apart(setup):
-                return batch, True
-            if sampler.register(setup):
-                sampler.history = before  # it is registered when it is sampled
+            setup = self._run.with_later_bodies(self._setups[0])
+            if sampler.is_apart(setup) or sampler.is_check_due(history := sampler.history_with(setup)):
                 return batch, True
             self._setups.popleft()
-            batch.append(_QueuedPing(setup, before))
-            self._history = sampler.history
+            batch.append(_QueuedPing(setup, sampler.history))
+            sampler.history = self._history = history
         return batch, False
 
     def pop(self) -> PingSetup:
@@ -124,7 +120,7 @@ class _Upcoming:
         return self._setups.popleft()
 
     def put_back(self, pings: Iterable[_QueuedPing]) -> None:
-        """Have these pings come first, in their order, as if the sampler had not registered them."""
+        """Have these pings come first, in their order, as if they were not in the sampler's history."""
         pings = list(pings)
         self._setups.extendleft(one.setup for one in reversed(pings))
         if pings:
@@ -137,7 +133,7 @@ class _Upcoming:
         """
         sampler = self._run.sampler
         if sampler.history is self._history:
-            sampler.follow(ping.setup, plan, total, ping.history.number + 1)
+            sampler.follow(ping.setup, plan, total, ping.history.n_pings + 1)
             self._history = sampler.history
 
     def leave(self, pings: Iterable[_QueuedPing]) -> None:

@@ -13,7 +13,7 @@ from sonar_gl.analysis.terms import TERMS, price
 from sonar_gl.cli import plan as costs
 from sonar_gl.cli.report import percent
 from sonar_gl.core.poses import read_poses
-from sonar_gl.engine.error_model import Plan
+from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.visibility import BODY_ERROR_RATE
 from sonar_gl.sonar.sampling import ERROR_RATE, LEVELS_PER_HALF
 from tests.support import command_line
@@ -189,7 +189,7 @@ def test_tolerances_out_of_bounds_are_left_out(tolerance, left):
 
 
 def test_a_tolerance_out_of_reach_has_status_1(monkeypatch):
-    monkeypatch.setattr("sonar_gl.engine.error_model.FINEST_LEVEL", 6)
+    monkeypatch.setattr("sonar_gl.engine.level_search.FINEST_LEVEL", 6)
     status, out, err = run("tank.sdf", "--sonar", "small.toml", "--tolerance", 0.0015)
     assert (status, err) == (1, "")
     assert (
@@ -203,7 +203,7 @@ def test_a_tolerance_out_of_reach_has_status_1(monkeypatch):
 @pytest.mark.slow
 def test_where_half_of_it_is_out_of_reach_the_table_says_so(monkeypatch):
     fine = "--tolerance", 0.004
-    monkeypatch.setattr("sonar_gl.engine.error_model.FINEST_LEVEL", plan(*fine)["level"])
+    monkeypatch.setattr("sonar_gl.engine.level_search.FINEST_LEVEL", plan(*fine)["level"])
     status, out, err = run("tank.sdf", "--sonar", "small.toml", *fine)
     assert (status, err) == (0, "")
     assert next(row[-1] for row in table(out).values()) == "no"

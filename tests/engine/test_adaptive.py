@@ -14,9 +14,10 @@ from sonar_gl.analysis.verify import ping_error
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import error_model, visibility
-from sonar_gl.engine.adaptive import CHECK_EVERY, LastCheck, ReplanTrigger
+from sonar_gl.engine.flow import Placement
 from sonar_gl.engine.multipath import COARSEST, ImageSources
 from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, glint_share, is_unobstructed
 from sonar_gl.scene.state import SceneState
@@ -361,7 +362,8 @@ class TestMoving:
         never, _ = result_of()
         come_out, places = result_of(of_wall)
         assert never != come_out
-        places = [place for place in dict.fromkeys(places) if place[0] == "engine/adaptive.py"]
+        files = [f"engine/{name}.py" for name in ("adaptive", "level_search", "replan_trigger")]
+        places = [place for place in dict.fromkeys(places) if place[0] in files]
         results = [result_of(of_wall, at=place)[0] for place in places]
         assert len(places) > 30 and {never, come_out} == set(results)
 
@@ -438,8 +440,8 @@ def test_the_trigger_s_angle_is_that_of_the_rotation():
     for axis in ("roll", "pitch", "yaw"):
         for angle_deg, is_due in ((9.9, False), (10.1, True), (-9.9, False), (-10.1, True), (179.0, True)):
             turned = sg.pose(**{axis: math.radians(angle_deg)})
-            check = LastCheck(np.eye(4), state, 1.0, 0)
-            assert trigger.is_due(check, turned, state, 1) == is_due
+            before, after = Placement(np.eye(4), state), Placement(turned, state)
+            assert trigger.is_due(before, after, 1) == is_due
 
 
 def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
@@ -745,7 +747,7 @@ class TestPlan:
         assert ping.error_estimate is None and ping.meta["tolerance"] is None
 
     def test_an_unreachable_tolerance_warns_and_uses_the_finest_level(self, monkeypatch):
-        monkeypatch.setattr("sonar_gl.engine.error_model.FINEST_LEVEL", 6)
+        monkeypatch.setattr("sonar_gl.engine.level_search.FINEST_LEVEL", 6)
         scene = sg.Scene([ball(x=10, radius=0.5)])
         with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.001) as simulator:
             with pytest.warns(ToleranceWarning, match="^tolerance 0.001 cannot be met here: ") as caught:

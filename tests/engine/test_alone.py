@@ -134,7 +134,7 @@ def test_a_ping_takes_no_more_than_four_times_the_samples_at_once(monkeypatch):
 def test_the_samples_of_a_ping_keep_the_tolerance_or_its_estimate_says_so(monkeypatch):
     with sg.Simulator(SCENE, SONAR, tolerance=0.02) as simulator:
         assert all(make_ping(simulator.run, one).error_estimate <= 0.02 for one in requests())
-    monkeypatch.setattr("sonar_gl.engine.error_model.FINEST_LEVEL", 2)
+    monkeypatch.setattr("sonar_gl.engine.level_search.FINEST_LEVEL", 2)
     warns = pytest.warns(ToleranceWarning, match="cannot be met here")
     with sg.Simulator(SCENE, SONAR, tolerance=0.02) as simulator, warns:
         assert make_ping(simulator.run, requests()[2]).error_estimate > 0.02
@@ -177,22 +177,26 @@ def test_a_choice_that_is_broken_off_leaves_no_limit_of_its_view(monkeypatch):
     """As many samples fit as before it, which pings near the one before may need."""
     monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)
     scene = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
-    real, limits = ErrorModel.draw, []
+    real, n_refused = ErrorModel.draw, 0
 
     def draw(model, *args, **more):
-        limits.append(lambda: model.finest)
-        if model.finest < before:  # the near view has met its limit
+        nonlocal n_refused
+        if n_refused:  # the near view has met its limit
             raise KeyboardInterrupt
-        return real(model, *args, **more)
+        try:
+            return real(model, *args, **more)
+        except SampleLimitError:
+            n_refused += 1
+            raise
 
     with sg.Simulator(scene, SONAR, tolerance=0.002) as simulator:
-        monkeypatch.setattr(ErrorModel, "draw", draw)
-        before = -1
         simulator.ping(sg.pose(1.0))
-        before = limits[-1]()
+        before = simulator.run.sampler.choice
+        monkeypatch.setattr(ErrorModel, "draw", draw)
         with pytest.raises(KeyboardInterrupt):
             simulator.ping(sg.pose(8.2))
-        assert limits[-1]() == before
+        assert n_refused == 1
+        assert simulator.run.sampler.choice is before
 
 
 def test_memory_is_given_back_after_a_ping_of_many_samples_and_not_while_pings_need_as_many(monkeypatch):

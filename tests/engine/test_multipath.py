@@ -10,7 +10,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.beamform import kernels
 from sonar_gl.engine import image_sampling, multipath, pipeline
-from sonar_gl.engine.adaptive import CHECK_EVERY
+from sonar_gl.engine.replan_trigger import CHECK_EVERY
 from sonar_gl.raster.cull import MARGIN
 from sonar_gl.scene.reflectors import (
     MAX_PLANES,

@@ -747,7 +747,7 @@ def test_pings_that_nobody_took_change_no_later_one():
         pings = it.pings(FAR_AND_NEAR)
         next(pings), next(pings)
         pings.close()
-        assert it.run.sampler.history.number == 2
+        assert it.run.sampler.history.n_pings == 2
         found = [it.ping(pose) for pose in FAR_AND_NEAR[3:5]]
     with sg.Simulator(round_about(), SONAR, sg.Acoustics.ideal(), tolerance=0.05, engine="cpu") as it:
         *_, one, other = [it.ping(pose) for pose in (*FAR_AND_NEAR[:2], *FAR_AND_NEAR[3:5])]

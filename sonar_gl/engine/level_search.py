@@ -1,0 +1,181 @@
+"""The sampling level that one ping needs, or some pings, by what they see alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.core.errors import SampleLimitError
+from sonar_gl.engine.error_model import ErrorModel, TriedView
+from sonar_gl.engine.flow import PingSetup, Plan
+from sonar_gl.engine.stage import StageCache
+from sonar_gl.scene.state import SceneState
+from sonar_gl.sonar.sampling import FINEST_LEVEL, level_of, typical_level
+
+MAX_POSES = 24  # of a sequence are tried
+# A ping alone is first tried with as many samples, or what most pings need for the tolerance if that is more: so many
+# take less time than the rest of a ping, which another try would repeat.
+FIRST_SAMPLES = 1 << 14
+# Finer by at most so many levels at once, four times the samples: estimates from few samples are rough. What is tried
+# on the way costs a third of the last try.
+MOST_STEPS_ALONE = 4
+# A ping by itself that needs so many times fewer samples than those before gives back their memory. Each one could, but
+# a ping that needs as much again would take the time to get it anew.
+MUCH_FEWER = 4
+
+
+class ChosenView(NamedTuple):
+    """A view whose samples were chosen from it alone.
+
+    Attributes
+    ----------
+    tried : TriedView, the last one that was tried
+    plan : Plan
+    """
+
+    tried: TriedView
+    plan: Plan
+
+
+class FoundLevel(NamedTuple):
+    """The coarsest sampling level that keeps the tolerance in a ping.
+
+    Attributes
+    ----------
+    plan : Plan of that level
+    total : the sum of the ping's echo
+    finest : the finest level that is known to fit there
+    """
+
+    plan: Plan
+    total: float
+    finest: int
+
+
+def evenly_picked(things: Sequence, most: int) -> list:
+    """Return at most so many of some things, evenly apart, the first and the last among them.
+
+    >>> evenly_picked(range(10), 4)
+    [0, 3, 6, 9]
+    """
+    return [things[k] for k in np.unique(np.linspace(0, len(things) - 1, most).round().astype(int))]
+
+
+class LevelSearch:
+    """Tries sampling levels in a ping. What it finds depends on no other ping.
+
+    Parameters
+    ----------
+    stages : StageCache
+    tolerance : as for `Simulator`
+    gain : (K,) of the sonar's bins
+
+    Attributes
+    ----------
+    model : ErrorModel, which judges what was tried
+    usual : the level that most pings need
+    finest : the finest level that there is. Fewer may fit, by how much of the fan bodies fill
+    """
+
+    def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):
+        self.model, self._stages = ErrorModel(stages, tolerance, gain), stages
+        self.finest = FINEST_LEVEL
+        self.usual = min(typical_level(self.model.tolerance), self.finest)
+        self._first_alone = max(self.usual, level_of(stages.sonar, FIRST_SAMPLES))
+        self._room = 0  # samples of the largest recent ping by itself, whose memory is kept
+
+    def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView:
+        """Try finer samples until they keep the tolerance; the last that were tried are those of the ping.
+
+        So that level is not always the coarsest one that does.
+
+        Parameters
+        ----------
+        further : states of which views are drawn along
+
+        Raises
+        ------
+        SampleLimitError
+            if the coarsest samples do not fit.
+        """
+        chosen = self._try_finer(setup, further)
+        n_samples = chosen.plan.n_samples
+        if MUCH_FEWER * n_samples < self._room:
+            self._stages.drop_large()
+            self._room = 0
+        self._room = max(self._room, n_samples)
+        return chosen
+
+    def _try_finer(self, setup: PingSetup, further: Sequence[SceneState]) -> ChosenView:
+        """Return the first view whose samples keep the tolerance, or that with the most samples that fit."""
+        level, finest, before = self._first_alone, self.finest, None
+        while True:
+            level = min(level, finest)
+            try:
+                tried = self.model.draw(setup, level, further=further, for_labels=setup.request.labels)
+                judged = self.model.judge(setup, level, tried, before)
+            except SampleLimitError:
+                if level == 0:
+                    raise
+                finest, before = level - 1, None
+                continue
+            if judged.steps <= 0 or level == finest:
+                return ChosenView(tried, judged.plan)
+            level, before = level + min(judged.steps, MOST_STEPS_ALONE), tried
+
+    def find_coarsest(self, setup: PingSetup, first: int) -> FoundLevel:
+        """Find the coarsest level that keeps the tolerance in a ping, or the finest that fits.
+
+        Parameters
+        ----------
+        first : level to begin with
+
+        Raises
+        ------
+        SampleLimitError
+            if the coarsest samples do not fit.
+        """
+        finest, level = self.finest, min(first, self.finest)
+        # the level lies above the one that failed; the other limit has kept the tolerance, or does not fit
+        failed, kept = -1, finest + 1
+        found, total = {}, 0.0
+        while level not in found:
+            try:
+                tried = self.model.draw(setup, level)
+                found[level] = judged = self.model.judge(setup, level, tried)
+            except SampleLimitError:
+                if level == 0:
+                    raise
+                finest = level - 1
+                kept = min(kept, level)
+                level = max(level - 1, failed)
+                continue
+            total, steps = tried.echo.total, judged.steps
+            if steps > 0:
+                failed = max(failed, level)
+            else:
+                kept = min(kept, level)
+            if -2 < steps <= 0:  # another try would gain nothing
+                break
+            level = min(max(level + steps, failed + 1), kept - 1)
+            if level <= failed:
+                level = min(kept, finest)
+        self._stages.drop_large()
+        return FoundLevel(found[level].plan, total, finest)
+
+    def find_for_all(self, setups: Sequence[PingSetup]) -> Plan:
+        """Find the coarsest level that keeps the tolerance in all of some pings, of many in MAX_POSES.
+
+        Their order does not count.
+        """
+        plans = [self.find_coarsest(setup, self.usual).plan for setup in evenly_picked(setups, MAX_POSES)]
+        level = max(plan.level for plan in plans)
+        finest = [plan for plan in plans if plan.level == level]
+        return replace(
+            max(finest, key=lambda plan: plan.worst_body_estimate),
+            error_estimate=max(plan.error_estimate for plan in finest),
+            met=all(plan.met for plan in plans),
+        )

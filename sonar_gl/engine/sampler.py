@@ -1,0 +1,106 @@
+"""What chooses the samples of pings, and the one of the two that has nothing to choose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from sonar_gl.core.errors import SampleLimitError
+from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
+from sonar_gl.engine.stage import StageCache
+from sonar_gl.sonar.sampling import Sampling
+
+
+class Sampler(Protocol):
+    """Chooses the samples of pings; `AdaptiveSampling` for a tolerance, `FixedSampling` where they were given.
+
+    Attributes
+    ----------
+    choice : all that checks and plans change, to be put back where a plan is broken off
+    history : all that each ping changes, to be put back where a ping is to be made again
+    resolution : of the last ping, or of the first to come
+    tolerance : that it keeps, or None
+    """
+
+    choice: object
+    history: object
+    resolution: Resolution
+    tolerance: float | None
+
+    def resolution_for(self, setup: PingSetup) -> Resolution:
+        """Add a ping to the history, and return its samples."""
+
+    def review(self, received: ReceivedPing) -> Resolution | None:
+        """Return the samples to draw the ping with once more, or None if it is good."""
+
+    def coarser(self, error: SampleLimitError) -> Resolution:
+        """Return fewer samples for a ping whose samples are more than fit, or raise the error again."""
+
+    def history_with(self, setup: PingSetup) -> object:
+        """Return the history with a ping to come, which has the samples of those before."""
+
+    def is_check_due(self, history: object) -> bool:
+        """Return whether the error of the last ping of a history is to be estimated."""
+
+    def has_changed(self, total: float) -> bool:
+        """Return whether something came into view, or left, by the sum of the echo."""
+
+    def fix(self, setups: Sequence[PingSetup]) -> Plan | None:
+        """Choose samples for all of some pings, and stay with them."""
+
+    def is_apart(self, setup: PingSetup) -> bool:
+        """Return whether the samples of a ping to come are chosen from it alone."""
+
+    def history_with_apart(self, setup: PingSetup) -> object:
+        """Return the history with a ping to come whose samples are being chosen from it alone."""
+
+    def follow(self, setup: PingSetup, plan: Plan, total: float, n_pings: int) -> None:
+        """Have later pings follow samples that were chosen from a ping alone, by this sampler or in another thread.
+
+        total : the sum of its echo
+        n_pings : of the history that ends with it, which it becomes unless later ones are in the history already
+        """
+
+    def error_estimate(self, setup: PingSetup) -> float | None:
+        """Return the estimated error of a ping."""
+
+
+class FixedSampling:
+    """Samples that were given: nothing to choose, nothing promised. A `Sampler`; no ping is `is_apart`."""
+
+    tolerance = choice = history = None
+
+    def __init__(self, stages: StageCache, sampling: Sampling):
+        self.resolution = Resolution(stages.stage(sampling))
+
+    def resolution_for(self, setup: PingSetup) -> Resolution:
+        """Return the samples."""
+        return self.resolution
+
+    def review(self, received: ReceivedPing) -> None:
+        """Return None: there are no others."""
+
+    def coarser(self, error: SampleLimitError) -> Resolution:
+        """Raise the error."""
+        raise error
+
+    def history_with(self, setup: PingSetup) -> None:
+        """Return None: no ping depends on those before."""
+
+    def is_check_due(self, history: None) -> bool:
+        """Return False."""
+        return False
+
+    def has_changed(self, total: float) -> bool:
+        """Return False."""
+        return False
+
+    def fix(self, setups: Sequence[PingSetup]) -> None:
+        """Return None: the samples are fixed."""
+
+    def is_apart(self, setup: PingSetup) -> bool:
+        """Return False."""
+        return False
+
+    def error_estimate(self, setup: PingSetup) -> None:
+        """Return None: there is no estimate."""
