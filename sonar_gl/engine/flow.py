@@ -116,7 +116,7 @@ class Resolution:
     check : the error of this ping is to be estimated
     is_final : the ping is good whatever a check would say: these samples have just been chosen for it
     finer_images : image sources alone are to be drawn once more, since they were sampled too coarsely
-    error_estimate : that of this ping, whose samples were chosen from it alone; or None
+    plan : Plan of this ping, if its samples were chosen from it alone; or None
     """
 
     stage: Stage
@@ -124,7 +124,7 @@ class Resolution:
     check: bool = False
     is_final: bool = False
     finer_images: bool = False
-    error_estimate: float | None = None
+    plan: Plan | None = None
 
 
 class FurtherViews(NamedTuple):

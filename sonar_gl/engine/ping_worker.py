@@ -9,7 +9,7 @@ import numba
 
 from sonar_gl.core.cores import count_cores
 from sonar_gl.core.worker import Job, JobThread, held
-from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
+from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.multipath import ImageSources
 from sonar_gl.engine.pipeline import choose_samples, draw, receive, receive_chosen
@@ -68,18 +68,17 @@ class PingWorker:
         return Job(make, IN_USE)
 
     def job_apart(self, setup: PingSetup, halvings: int, scene: Scene) -> Job:
-        """Return a job that makes one ping with samples chosen from it alone; it answers the Plan behind them, too.
+        """Return a job that makes one ping with samples chosen from it alone.
 
         halvings : how often rows are halved for image sources
         """
 
-        def make() -> tuple[ReceivedPing, Plan]:
+        def make() -> list[ReceivedPing]:
             with held(self._making):
                 images = self._images_in(scene)
                 if self._search is None:
                     self._search = LevelSearch(self._stages, self._tolerance, self._gain)
-                chosen = choose_samples(self._search, setup)
-                return receive_chosen(images, setup, chosen, halvings), chosen.plan
+                return [receive_chosen(images, setup, choose_samples(self._search, setup), halvings)]
 
         return Job(make, IN_USE)
 

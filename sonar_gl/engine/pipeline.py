@@ -87,7 +87,7 @@ def receive_chosen(
 ) -> ReceivedPing:
     """Receive a ping whose samples were chosen from it alone, and draw its image sources."""
     tried, plan = chosen
-    resolution = Resolution(tried.stage, halvings, is_final=True, error_estimate=plan.bound)
+    resolution = Resolution(tried.stage, halvings, is_final=True, plan=plan)
     (images,) = draw_images(sources, resolution, [tried.view], [setup])
     drawn = DrawnPing(setup, resolution, tried.view, images, further_states(setup).drawn(iter(tried.further)))
     return receive_more(drawn, tried.echo, None if tried.bodies is None else label(drawn, tried.bodies))

@@ -230,17 +230,17 @@ class Run:
         self.image_sampling.keep_to(halvings)
         return replace(resolution, halvings=halvings) if halvings < received.drawn.images.halvings else None
 
-    def is_outdated(self, received: ReceivedPing, choice) -> bool:
-        """Return whether a ping of a sequence must be made again; `choice` of the sampler when it was made."""
-        return (
-            choice is not self.sampler.choice  # chosen after this ping was drawn
-            or self.sampler.has_changed(received.direct.total)
-            or self._review_images(received)
-        )
+    def review_ahead(self, received: ReceivedPing, choice) -> bool:
+        """Review a ping of a sequence that was made ahead; return whether it must be made again.
 
-    def review_apart(self, received: ReceivedPing) -> bool:
-        """Return whether the image sources of a ping whose samples were chosen from it alone are to be drawn finer."""
-        self.image_sampling.begin_alone()
+        Pings are reviewed in their order: how finely image sources are sampled follows from each.
+
+        choice : of the sampler when the ping was started
+        """
+        if received.drawn.resolution.plan is not None:  # it depends on no other choice
+            self.image_sampling.begin_alone()
+        elif choice is not self.sampler.choice or self.sampler.has_changed(received.direct.total):
+            return True
         return self._review_images(received)
 
     def _review_images(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> bool:
@@ -256,8 +256,9 @@ class Run:
 
     def _direct_error(self, received: ReceivedPing) -> float | None:
         """Return the estimated error of a ping's direct echo; None without one."""
-        estimate = received.drawn.resolution.error_estimate
-        return self.sampler.error_estimate(received.drawn.setup) if estimate is None else estimate
+        drawn = received.drawn
+        plan = drawn.resolution.plan
+        return self.sampler.error_estimate(drawn.setup) if plan is None else plan.bound
 
     def sample_origin(self) -> SampleOrigin:
         """Return what the `meta` of pings states about the scene and the driver."""

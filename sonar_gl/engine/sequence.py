@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from typing import NamedTuple
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
-from sonar_gl.engine.flow import PingSetup, Plan
+from sonar_gl.engine.flow import PingSetup, ReceivedPing
 from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
@@ -24,11 +24,26 @@ BATCH = 4  # pings drawn at once
 BATCH_SAMPLES = 1 << 19
 
 
-class _QueuedPing(NamedTuple):
+class _TakenPing(NamedTuple):
     """A ping of a sequence, and the sampler's `history` before it."""
 
     setup: PingSetup
     history: object
+
+
+class _Batch(NamedTuple):
+    """Pings to start together.
+
+    Attributes
+    ----------
+    pings : _TakenPing of each; may be none
+    is_apart : it is one ping, whose samples its thread chooses from it alone
+    must_wait : the ping after these has to wait until they have come out, and those before them; or there is none
+    """
+
+    pings: list[_TakenPing]
+    is_apart: bool = False
+    must_wait: bool = False
 
 
 class _Started(NamedTuple):
@@ -36,20 +51,18 @@ class _Started(NamedTuple):
 
     Attributes
     ----------
-    job : answers a list of their ReceivedPings, or the only one and the Plan behind its samples
-    pings : of the job
+    job : answers a list of their ReceivedPings
+    pings : of the job, those that have not come out
     choice : of the sampler, by which they are made
-    is_apart : the samples of its only ping are chosen from it alone
     """
 
     job: Job
-    pings: list[_QueuedPing]
+    pings: list[_TakenPing]
     choice: object
-    is_apart: bool = False
 
 
 class _Upcoming:
-    """Pings to come.
+    """Pings to come. The sampler's history has those that were taken, unless they are put back.
 
     Parameters
     ----------
@@ -57,15 +70,15 @@ class _Upcoming:
 
     Attributes
     ----------
-    n_taken : number of pings whose requests were taken
+    n_requests : number of requests that have come
     failure : why there are no more; or None
     """
 
     def __init__(self, run: Run, requests: Iterator[PingRequest]):
         self._run, self._requests = run, requests
         self._setups: deque[PingSetup] = deque()
-        self._is_over, self.failure, self.n_taken = False, None, 0
-        self._history = run.sampler.history  # after the last ping that was taken or put back
+        self._is_over, self.failure, self.n_requests = False, None, 0
+        self._history = run.sampler.history  # the sampler has another one, if others made pings since
 
     def fill(self, count: int) -> bool:
         """Set up pings until there are so many; return whether any is there. Not inside `drawing`."""
@@ -74,7 +87,7 @@ class _Upcoming:
                 with self._run.world.taking_request():
                     request = next(self._requests)
                 self._setups.append(self._run.set_up(request))
-                self.n_taken += 1
+                self.n_requests += 1
             except StopIteration:
                 self._is_over = True
             except KeyboardInterrupt:
@@ -83,60 +96,57 @@ class _Upcoming:
                 self.failure, self._is_over = why, True
         return bool(self._setups)
 
-    def next_apart(self) -> _QueuedPing | None:
-        """Return the next ping if its samples are chosen from it alone, since it lies far from the last; else None.
+    def take(self, most: int, can_choose: bool) -> _Batch:
+        """Take the next pings that can be drawn at once, `most` of them or as many as BATCH_SAMPLES allow.
 
-        One whose request asks for that depends on no other ping, nor by its image sources, and is made by itself.
+        A ping has to wait if its error is to be estimated, or if it follows one that is still to choose its samples.
+        So has one whose samples are chosen from it alone, unless a thread can do that. If its request asks for it, none
+        can: its image sources, too, depend on no other ping.
         """
-        sampler, setup = self._run.sampler, self._run.with_later_bodies(self._setups[0])
-        if setup.request.alone or not sampler.is_apart(setup):
-            return None
-        before = sampler.history
-        sampler.history = sampler.history_with_apart(setup)
-        self._setups.popleft()
-        self._history = sampler.history
-        return _QueuedPing(setup, before)
-
-    def next_batch(self, most: int) -> tuple[list[_QueuedPing], bool]:
-        """Return pings that can be drawn at once, and whether the one after them has to wait for those before it.
-
-        So has one whose error is to be estimated, and one that follows a ping that is still to choose its samples.
-        """
-        batch, sampler = [], self._run.sampler
+        sampler, batch = self._run.sampler, []
         if most > 1:
             sectors = sampler.resolution.stage.fan.sectors
-            most = min(most, BATCH_SAMPLES // sum(sector.columns * sector.rows for sector in sectors))
-        while self._setups and len(batch) < max(most, 1):
+            n_samples = sum(sector.columns * sector.rows for sector in sectors)
+            most = max(1, min(most, BATCH_SAMPLES // n_samples))
+        while len(batch) < most:
+            if not self._setups:
+                return _Batch(batch, must_wait=True)
             setup = self._run.with_later_bodies(self._setups[0])
-            if sampler.is_apart(setup) or sampler.is_check_due(history := sampler.history_with(setup)):
-                return batch, True
-            self._setups.popleft()
-            batch.append(_QueuedPing(setup, sampler.history))
-            sampler.history = self._history = history
-        return batch, False
+            if sampler.is_apart(setup):
+                if batch or setup.request.alone or not can_choose:
+                    return _Batch(batch, must_wait=True)
+                return _Batch([self._taken(setup, sampler.history_with_apart(setup))], is_apart=True)
+            history = sampler.history_with(setup)
+            if sampler.is_check_due(history):
+                return _Batch(batch, must_wait=True)
+            batch.append(self._taken(setup, history))
+        return _Batch(batch)
+
+    def _taken(self, setup: PingSetup, history: object) -> _TakenPing:
+        """Take the next ping, with which the sampler's history is this one."""
+        ping = _TakenPing(setup, self._run.sampler.history)
+        self._setups.popleft()
+        self._run.sampler.history = self._history = history
+        return ping
 
     def pop(self) -> PingSetup:
-        """Return the next ping."""
+        """Return the next ping, which is not in the sampler's history until it is sampled."""
         return self._setups.popleft()
 
-    def put_back(self, pings: Iterable[_QueuedPing]) -> None:
-        """Have these pings come first, in their order, as if they were not in the sampler's history."""
-        pings = list(pings)
+    def put_back(self, pings: Sequence[_TakenPing]) -> None:
+        """Have these pings come first, in their order, as if they had not been taken."""
         self._setups.extendleft(one.setup for one in reversed(pings))
         if pings:
             self._run.sampler.history = self._history = pings[0].history
 
-    def follow(self, ping: _QueuedPing, plan: Plan, total: float) -> None:
-        """Have later pings follow one whose samples were chosen from it alone, unless other pings were made since.
-
-        total : the sum of its echo
-        """
-        sampler = self._run.sampler
+    def follow(self, ping: _TakenPing, received: ReceivedPing) -> None:
+        """Have later pings follow one whose samples were chosen from it alone, unless other pings were made since."""
+        sampler, plan = self._run.sampler, received.drawn.resolution.plan
         if sampler.history is self._history:
-            sampler.follow(ping.setup, plan, total, ping.history.n_pings + 1)
+            sampler.follow(ping.setup, plan, received.direct.total, ping.history.n_pings + 1)
             self._history = sampler.history
 
-    def leave(self, pings: Iterable[_QueuedPing]) -> None:
+    def leave(self, pings: Sequence[_TakenPing]) -> None:
         """Have the sampler's history end with the ping that came out last: these, made ahead, never will.
 
         Unless other pings were made since, or the run is closed.
@@ -146,13 +156,13 @@ class _Upcoming:
             self.put_back(pings)
 
 
-class _Overlap:
+class _ReceiverThread:
     """OpenGL draws some pings at once, in the caller's thread, while another thread receives those before.
 
     Attributes
     ----------
     most : pings that are started at once
-    can_choose : its threads can choose the samples of a ping from it alone
+    can_choose : it can choose the samples of a ping from it alone
     ahead : how many such groups are in flight while the caller waits for one
     """
 
@@ -161,10 +171,11 @@ class _Overlap:
     def __init__(self, run: Run):
         self._run, self._thread = run, JobThread("sonar_gl receiver")
 
-    def start(self, setups: list[PingSetup]) -> Job:
+    def start(self, batch: _Batch) -> Job:
         """Draw some pings, and begin to receive them; inside `drawing`."""
-        drawn = draw(self._run.image_sources, setups, self._run.resolution_ahead, keep_last=True)
-        job = self._run.receive_later(lambda: [receive(one) for one in drawn])
+        run, setups = self._run, [ping.setup for ping in batch.pings]
+        drawn = draw(run.image_sources, setups, run.resolution_ahead, keep_last=True)
+        job = run.receive_later(lambda: [receive(one) for one in drawn])
         self._thread.submit(job)
         return job
 
@@ -173,8 +184,8 @@ class _Overlap:
         self._thread.close()
 
 
-class _Workers:
-    """Threads each make their own pings, without a context; attributes as of `_Overlap`."""
+class _PingThreads:
+    """Threads each make their own pings, without a context; attributes as of `_ReceiverThread`."""
 
     most, can_choose = 1, True
 
@@ -183,24 +194,18 @@ class _Workers:
         self._workers = run.take_workers(n_threads(), partial(PingWorker, run))
         self.ahead = 2 * len(self._workers) - 1
 
-    def start(self, setups: list[PingSetup]) -> Job:
-        """Begin to make a ping."""
-        run, worker, (setup,) = self._run, self._next(), setups
-        job = run.await_job(worker.job(setup, run.resolution_ahead, run.world.scene))
+    def start(self, batch: _Batch) -> Job:
+        """Begin to make the only ping of a batch, by the threads in turn; inside `drawing`."""
+        run, worker = self._run, self._workers[self._number % len(self._workers)]
+        self._number += 1
+        (ping,) = batch.pings
+        if batch.is_apart:
+            job = worker.job_apart(ping.setup, run.image_sampling.alone, run.world.scene)
+        else:
+            job = worker.job(ping.setup, run.resolution_ahead, run.world.scene)
+        run.await_job(job)
         worker.submit(job)
         return job
-
-    def start_apart(self, setup: PingSetup) -> Job:
-        """Begin to make a ping with samples chosen from it alone."""
-        run, worker = self._run, self._next()
-        job = run.await_job(worker.job_apart(setup, run.image_sampling.alone, run.world.scene))
-        worker.submit(job)
-        return job
-
-    def _next(self) -> PingWorker:
-        """Return the workers in turn."""
-        worker, self._number = self._workers[self._number % len(self._workers)], self._number + 1
-        return worker
 
     def close(self) -> None:
         """End the threads; the next sequence goes on with their stages."""
@@ -212,14 +217,14 @@ class _Workers:
 def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
     """Yield pings, in order: some are made by other threads while the caller has those before.
 
-    Warns once if the caller places or adds bodies while it has a ping, and others were taken ahead.
+    Warns once if the caller places or adds bodies while it has a ping, and others were requested ahead.
     """
     world, upcoming, has_warned = run.world, _Upcoming(run, requests), False
-    with closing(_made(run, upcoming)) as pings:
+    with closing(_make_ahead(run, upcoming)) as pings:
         for number, ping in enumerate(pings, 1):
             n_changes = world.n_changes
             yield ping
-            n_ahead = upcoming.n_taken - number
+            n_ahead = upcoming.n_requests - number
             if world.n_changes != n_changes and n_ahead and not has_warned:
                 has_warned = True
                 _warn_of_late_bodies(n_ahead)
@@ -233,33 +238,18 @@ def _warn_of_late_bodies(n_ahead: int) -> None:
     )
 
 
-def _made(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
-    """Yield the pings to come, in order."""
+def _make_ahead(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
+    """Yield the pings to come, in order. A ping that has to wait is made here, once all before it have come out."""
     in_flight: deque[_Started] = deque()
     with run.drawing():
-        threads = _Overlap(run) if run.world.engine.name == "opengl" else _Workers(run)
+        threads = _ReceiverThread(run) if run.world.engine.name == "opengl" else _PingThreads(run)
     try:
-        while (is_more := upcoming.fill(threads.most)) or in_flight:
-            with run.drawing(beside=[started.job for started in in_flight]):
-                apart = upcoming.next_apart() if is_more and threads.can_choose else None
-                batch, is_alone = ([apart], False) if apart else upcoming.next_batch(threads.most)
-                try:
-                    if apart:
-                        job = threads.start_apart(apart.setup)
-                        in_flight.append(_Started(job, batch, run.sampler.choice, is_apart=True))
-                    elif batch:
-                        job = threads.start([one.setup for one in batch])
-                        in_flight.append(_Started(job, batch, run.sampler.choice))
-                except SampleLimitError:
-                    upcoming.put_back(batch)
-                    is_alone = True
-                except BaseException:
-                    upcoming.put_back(batch)
-                    raise
-            if is_alone and not in_flight:
-                yield _sampled(run, upcoming.pop())
-            while in_flight and (len(in_flight) > threads.ahead or is_alone or not is_more):
-                yield from _finished(run, in_flight, upcoming)
+        while upcoming.fill(threads.most) or in_flight:
+            must_wait = _start_next(run, upcoming, threads, in_flight)
+            if must_wait and not in_flight:
+                yield _make_here(run, upcoming.pop())
+            while in_flight and (must_wait or len(in_flight) > threads.ahead):
+                yield from _finish_first(run, upcoming, in_flight)
     finally:
         threads.close()
         upcoming.leave(_undelivered(in_flight))
@@ -267,47 +257,63 @@ def _made(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
         raise upcoming.failure
 
 
-def _undelivered(in_flight: deque[_Started]) -> list[_QueuedPing]:
+def _start_next(
+    run: Run, upcoming: _Upcoming, threads: _ReceiverThread | _PingThreads, in_flight: deque[_Started]
+) -> bool:
+    """Start the next pings; return whether no more can be started before all in flight have come out."""
+    with run.drawing(beside=[started.job for started in in_flight]):
+        batch = upcoming.take(threads.most, threads.can_choose)
+        try:
+            if batch.pings:
+                in_flight.append(_Started(threads.start(batch), batch.pings, run.sampler.choice))
+        except SampleLimitError:  # as it is made by itself, it gets fewer samples
+            upcoming.put_back(batch.pings)
+            return True
+        except BaseException:
+            upcoming.put_back(batch.pings)
+            raise
+    return batch.must_wait
+
+
+def _undelivered(in_flight: deque[_Started]) -> list[_TakenPing]:
     return [ping for started in in_flight for ping in started.pings]
 
 
-def _finished(run: Run, in_flight: deque[_Started], upcoming: _Upcoming) -> Iterator[Ping]:
-    """Yield the pings of the job that was started first; if one has to be sampled anew, those after it, too."""
-    started, plan = in_flight[0], None
+def _finish_first(run: Run, upcoming: _Upcoming, in_flight: deque[_Started]) -> Iterator[Ping]:
+    """Yield the pings that were started first; one that has to be made again is, and those after it are put back."""
+    first = in_flight[0]
     try:
-        received = started.job.result()
-        if started.is_apart:
-            one, plan = received
-            received = [one]
+        answers = first.job.result()
     except SampleLimitError:
-        received = [None] * len(started.pings)
-    for one in received:
+        answers = [None]
+    for received in answers:
         with run.world.unchanged():
-            is_good = one is not None and not (
-                run.review_apart(one) if started.is_apart else run.is_outdated(one, started.choice)
-            )
-            if is_good and plan is not None:
-                upcoming.follow(started.pings[0], plan, one.direct.total)
-            report = run.report(one) if is_good and one.total > 0 else None
+            is_good = received is not None and not run.review_ahead(received, first.choice)
+            if is_good and received.drawn.resolution.plan is not None:
+                upcoming.follow(first.pings[0], received)
+            report = run.report(received) if is_good and received.total > 0 else None
         if not is_good:
             upcoming.put_back(_undelivered(in_flight))
             in_flight.clear()
-            yield _sampled(run, upcoming.pop())
+            yield _make_here(run, upcoming.pop())
             return
-        ping = _without_echo(run, one.drawn.setup) if report is None else finish(run, one, report)
-        started.pings.pop(0)
+        if report is None:
+            ping = _make_without_echo(run, received.drawn.setup)
+        else:
+            ping = finish(run, received, report)
+        first.pings.pop(0)
         yield ping
     in_flight.popleft()
 
 
-def _sampled(run: Run, setup: PingSetup) -> Ping:
-    """Return a ping that is sampled alone, as `Simulator.ping` does."""
+def _make_here(run: Run, setup: PingSetup) -> Ping:
+    """Return a ping that is made in this thread, as `Simulator.ping` makes it."""
     with run.drawing():
         received, report = sample(run, setup)
     return finish(run, received, report)
 
 
-def _without_echo(run: Run, setup: PingSetup) -> Ping:
+def _make_without_echo(run: Run, setup: PingSetup) -> Ping:
     """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
     with run.drawing():
         (drawn,) = draw(run.image_sources, [run.with_later_bodies(setup)], run.resolution_ahead)
