@@ -205,7 +205,7 @@ class AdaptiveSampling:
         """Return whether the last ping of a history, with a check, costs no more than a ping may."""
         return self._cost(self.choice.level, check=True) <= self._most_cost(history)
 
-    def coarser(self, error: SampleLimitError) -> Resolution:
+    def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
         level = self.choice.level - 1
         if level < 0 or self.choice.planned is not None:

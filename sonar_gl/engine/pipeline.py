@@ -50,31 +50,44 @@ def sample(run: Run, setup: PingSetup) -> tuple[ReceivedPing, PingReport]:
 def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping as `sample` does, with image sources sampled as the run has them."""
     if run.sampler.is_apart(setup):
-        chosen = choose_samples(run.sampler.search, setup)
-        run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.n_pings + 1)
-        try:
-            received = receive_chosen(run.image_sources, setup, chosen, run.image_sampling.begin_alone())
-            resolution = run.review(received)
-        except SampleLimitError as error:  # of its image sources
-            if setup.request.alone:
-                raise
-            received, resolution = None, run.sampler.coarser(error)
+        received, resolution = _sample_apart(run, setup)
     else:
         received, resolution = None, run.sampler.resolution_for(setup)
     while resolution is not None:
+        before = received
         try:
             if resolution.finer_images:
-                coarser, received = received, with_finer_images(run.image_sources, received, resolution)
+                received = with_finer_images(run.image_sources, before, resolution)
             else:
-                resolution = replace(resolution, halvings=run.image_sampling.begin(resolution.check))
-                (drawn,) = draw(run.image_sources, [setup], resolution)
-                coarser, received = None, receive(drawn)
+                received = _sample_once(run, setup, resolution)
         except SampleLimitError as error:
-            resolution = run.coarser(error, received, resolution)
-            continue
-        # a body came into view, or multipath is too coarse
-        resolution = run.review(received, coarser)
+            resolution = run.fewer_samples(error, received, resolution)
+        else:  # a body may have come into view, or multipath may be sampled too coarsely
+            resolution = run.review(received, before if resolution.finer_images else None)
     return received
+
+
+def _sample_apart(run: Run, setup: PingSetup) -> tuple[ReceivedPing | None, Resolution | None]:
+    """Return a ping with samples chosen from it alone, and the resolution with which to sample it again, or None.
+
+    There is no ping if its image sources do not fit: it gets coarser samples, if its request does not ask for these.
+    """
+    chosen = choose_samples(run.sampler.search, setup)
+    run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.n_pings + 1)
+    try:
+        received = receive_chosen(run.image_sources, setup, chosen, run.image_sampling.begin_alone())
+    except SampleLimitError as error:
+        if setup.request.alone:
+            raise
+        return None, run.sampler.fewer_samples(error)
+    return received, run.review(received)
+
+
+def _sample_once(run: Run, setup: PingSetup, resolution: Resolution) -> ReceivedPing:
+    """Draw and receive a ping; how finely its image sources are sampled is chosen now."""
+    resolution = replace(resolution, halvings=run.image_sampling.begin(resolution.check))
+    (drawn,) = draw(run.image_sources, [setup], resolution)
+    return receive(drawn)
 
 
 def choose_samples(search: LevelSearch, setup: PingSetup) -> ChosenView:

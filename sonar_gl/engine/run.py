@@ -215,7 +215,7 @@ class Run:
             return replace(received.drawn.resolution, halvings=halvings, is_final=True, finer_images=True)
         return resolution
 
-    def coarser(
+    def fewer_samples(
         self, error: SampleLimitError, received: ReceivedPing | None, resolution: Resolution
     ) -> Resolution | None:
         """Return a resolution in place of one whose samples are more than fit, or raise the error again.
@@ -225,7 +225,7 @@ class Run:
         received : the ping with coarser samples; None before it was received
         """
         if not resolution.finer_images:
-            return self.sampler.coarser(error)
+            return self.sampler.fewer_samples(error)
         halvings = resolution.halvings + 1
         self.image_sampling.keep_to(halvings)
         return replace(resolution, halvings=halvings) if halvings < received.drawn.images.halvings else None

@@ -33,7 +33,7 @@ class Sampler(Protocol):
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Return the samples to draw the ping with once more, or None if it is good."""
 
-    def coarser(self, error: SampleLimitError) -> Resolution:
+    def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return fewer samples for a ping whose samples are more than fit, or raise the error again."""
 
     def history_with(self, setup: PingSetup) -> object:
@@ -80,7 +80,7 @@ class FixedSampling:
     def review(self, received: ReceivedPing) -> None:
         """Return None: there are no others."""
 
-    def coarser(self, error: SampleLimitError) -> Resolution:
+    def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Raise the error."""
         raise error
 
