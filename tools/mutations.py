@@ -698,8 +698,8 @@ MUTATIONS = (
     ),
     Mutation(
         "multipath/no comparison",
-        "if coarser is not None:\n                self.choice",
-        "if False:\n                self.choice",
+        "choice.error if coarser is None else echo.error_against(coarser)",
+        "choice.error",
         MULTIPATH,
     ),
     Mutation("multipath/never checked again", "is_new=False, is_due=check)", "is_new=False)", MULTIPATH),

@@ -133,9 +133,10 @@ class ImageSampling:
         return self.choice.halvings
 
     def begin(self, check: bool) -> int:
-        """Return the halvings of the next ping: those of the last, or the most, where others are to be compared.
+        """Return the halvings of the next ping: those of the last, or the most, to compare with others after it.
 
-        check : the error of the direct echo is estimated, which takes time; that of multipath is so in the next ping
+        check : the error of this ping's direct echo is estimated. That of its multipath would take as long again: it is
+            due in the next ping
         """
         if self._each_alone or self.choice.error is None:
             return self.begin_alone()
@@ -145,12 +146,12 @@ class ImageSampling:
         return self.choice.halvings
 
     @property
-    def ahead(self) -> int:
+    def halvings_ahead(self) -> int:
         """The halvings of a ping that is made while those before are awaited: they go on from theirs."""
-        return self.alone if self._each_alone else self.choice.halvings
+        return self.halvings_alone if self._each_alone else self.choice.halvings
 
     @property
-    def alone(self) -> int:
+    def halvings_alone(self) -> int:
         """The halvings with which `begin_alone` begins."""
         return self.choice.halvings if self.choice.is_fixed else COARSEST
 
@@ -178,15 +179,17 @@ class ImageSampling:
 
         coarser : of the same ping with fewer samples, to compare with; None for none
         """
-        if not self.choice.is_fixed:
-            if coarser is not None:
-                self.choice = self.choice._replace(error=echo.error_against(coarser))
+        choice, own = self.choice, echo.images.halvings
+        if not choice.is_fixed:
+            error = choice.error if coarser is None else echo.error_against(coarser)
             # coarser only where they would stay so: otherwise they flicker
-            wanted, kept = (self._halvings_for(echo, times) for times in (1, 2))
+            wanted, kept = (self._halvings_for(echo, times, error) for times in (1, 2))
             if coarser is not None:  # estimates from few samples are rough
-                wanted = max(wanted, echo.images.halvings - 1)
-            self.choice = self.choice._replace(halvings=min(max(self.choice.halvings, kept), wanted))
-        return echo.images.halvings > self.choice.halvings and (coarser is None or self.choice.is_new)
+                wanted = max(wanted, own - 1)
+            self.choice = choice = choice._replace(
+                halvings=min(max(choice.halvings, kept), wanted), error=error
+            )
+        return own > choice.halvings and (coarser is None or choice.is_new)
 
     def keep_to(self, halvings: int) -> None:
         """Halve rows no less often in the next ping, since finer samples do not fit."""
@@ -206,10 +209,11 @@ class ImageSampling:
         fewer = THINNINGS[images.halvings].times_fewer
         return max(of_bins, _error_by_samples(share, images.imaged, fewer) / WORST_BODY)
 
-    def _halvings_for(self, echo: MultipathEcho, times: int) -> int:
+    def _halvings_for(self, echo: MultipathEcho, times: int, error: MultipathError | None) -> int:
         """Return how often rows may be halved.
 
         times : so many times the multipath is taken to be there, and so many times fewer samples
+        error : `known` of `_expected_error`
         """
         share, images = times * echo.share, echo.images
         # a body that the images missed has about as many samples in the direct view
@@ -225,14 +229,19 @@ class ImageSampling:
             bodies_err = fewest < LEAST_ON_BODY * fewer or max(errors) > self._tolerance * (1 + share)
             # finer samples than those of the direct echo do not help bodies that have too few there
             is_enough = halvings <= 0 or not bodies_err
-            if is_enough and self._expected_error(images, halvings) * times**HALVING_RATE <= most:
+            if is_enough and self._expected_error(images, halvings, error) * times**HALVING_RATE <= most:
                 return halvings
         return finest
 
-    def _expected_error(self, images: ImageSourceSamples, halvings: int) -> float:
-        """Return about what the relative error of a ping's multipath is, were rows halved so often."""
-        if self.choice.error is not None:
-            return self.choice.error.at(images.rows * 2.0 ** (images.halvings - halvings))
+    def _expected_error(
+        self, images: ImageSourceSamples, halvings: int, known: MultipathError | None
+    ) -> float:
+        """Return about what the relative error of a ping's multipath is, were rows halved so often.
+
+        known : the error that a comparison has shown, with the samples that were compared; None without one
+        """
+        if known is not None:
+            return known.at(images.rows * 2.0 ** (images.halvings - halvings))
         if halvings == COARSEST:
             return FIRST_ERROR
         return USUAL_ERROR * self._tolerance * 2.0 ** (HALVING_RATE * halvings)

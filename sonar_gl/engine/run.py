@@ -186,7 +186,7 @@ class Run:
     @property
     def resolution_ahead(self) -> Resolution:
         """The resolution of a ping that is made while those before are awaited."""
-        return replace(self.sampler.resolution, halvings=self.image_sampling.ahead)
+        return replace(self.sampler.resolution, halvings=self.image_sampling.halvings_ahead)
 
     @property
     def image_sources(self) -> ImageSources | None:
@@ -244,7 +244,10 @@ class Run:
         return self._review_images(received)
 
     def _review_images(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> bool:
-        """Return whether the image sources of a ping are to be drawn finer; `coarser` as of `review`."""
+        """Adapt how finely image sources are sampled; return whether those of this ping are to be drawn finer.
+
+        coarser : as of `review`
+        """
         echo = self._multipath_of(received)
         return echo is not None and self.image_sampling.review(echo, coarser and self._multipath_of(coarser))
 

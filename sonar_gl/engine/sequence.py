@@ -200,7 +200,7 @@ class _PingThreads:
         self._number += 1
         (ping,) = batch.pings
         if batch.is_apart:
-            job = worker.job_apart(ping.setup, run.image_sampling.alone, run.world.scene)
+            job = worker.job_apart(ping.setup, run.image_sampling.halvings_alone, run.world.scene)
         else:
             job = worker.job(ping.setup, run.resolution_ahead, run.world.scene)
         run.await_job(job)
