@@ -47,6 +47,78 @@ def sample(run: Run, setup: PingSetup) -> tuple[ReceivedPing, PingReport]:
         return received, run.report(received)
 
 
+def draw(
+    sources: ImageSources | None, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
+) -> list[DrawnPing]:
+    """Draw the depth + normal pass of some pings, and of their image sources. Inside `drawing`.
+
+    Parameters
+    ----------
+    sources : ImageSources in the scene as it is now; None without multipath
+    setups : of the pings; their bodies are those of the scene as it is now
+    resolution : of all of them
+    keep_last : samples that were drawn just before stay valid, as of `Renderer.render`
+    """
+    further = [further_states(setup) for setup in setups]
+    poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
+    for setup, more in zip(setups, further, strict=True):
+        poses += [setup.head_pose] * len(more.needed)
+        states += more.needed
+    drawn = resolution.stage.draw(poses, states, with_bodies=True, keep_last=keep_last)
+    views, further_views = drawn[: len(setups)], iter(drawn[len(setups) :])
+    images = draw_images(sources, resolution, views, setups)
+    return [
+        DrawnPing(setup, resolution, view, of_images, more.drawn(further_views))
+        for setup, view, of_images, more in zip(setups, views, images, further, strict=True)
+    ]
+
+
+def receive(drawn: DrawnPing) -> ReceivedPing:
+    """Sum the samples of a ping into beams and range bins. No OpenGL: may run in another thread."""
+    setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
+    # the gain holds transmission loss both ways, and TVG
+    if setup.request.labels:
+        direct, bodies = beamformer.sum_bodies(drawn.view, setup.gain)
+        labels = label(drawn, bodies)
+    else:
+        direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
+    return receive_more(drawn, direct, labels)
+
+
+def finish(run: Run, received: ReceivedPing, report: PingReport) -> Ping:
+    """Assemble a ping of a scene; warn if it has no echo."""
+    if report.no_echo is not None:
+        warn_caller(report.no_echo)
+    return assemble(run.instrument, received, report.origin, run.world.thread, report.error_estimate)
+
+
+def assemble(
+    instrument: Instrument,
+    received: ReceivedPing,
+    origin: SampleOrigin,
+    thread: SecondThread,
+    error_estimate: float | None = None,
+) -> Ping:
+    """Do the receiver's last steps in their order: matched filter, motion during the ping, cross-talk, noise.
+
+    Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`). The thread helps with the
+    matched filter and the noise.
+    """
+    request = received.drawn.setup.request
+    powers = filtered_powers(received, thread)
+    labels, label_level_db = shown_labels(instrument, received, powers["intensity"])
+    for array in (*powers.values(), *labels.values()):
+        if array is not None:
+            array.setflags(write=False)
+    ping = ping_of(
+        instrument, received, origin, label_level_db, error_estimate=error_estimate, **powers, **labels
+    )
+    ping = with_cross_talk(shown_in_motion(ping, request.velocity))
+    if request.noise is None:
+        return ping
+    return add_noise(ping, request.noise, request.seed, request.number, thread)
+
+
 def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
     """Draw and receive a ping as `sample` does, with image sources sampled as the run has them."""
     if run.sampler.is_apart(setup):
@@ -67,6 +139,13 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
     return received
 
 
+def _sample_once(run: Run, setup: PingSetup, resolution: Resolution) -> ReceivedPing:
+    """Draw and receive a ping; how finely its image sources are sampled is chosen now."""
+    resolution = replace(resolution, halvings=run.image_sampling.begin(resolution.check))
+    (drawn,) = draw(run.image_sources, [setup], resolution)
+    return receive(drawn)
+
+
 def _sample_apart(run: Run, setup: PingSetup) -> tuple[ReceivedPing | None, Resolution | None]:
     """Return a ping with samples chosen from it alone, and the resolution with which to sample it again, or None.
 
@@ -81,13 +160,6 @@ def _sample_apart(run: Run, setup: PingSetup) -> tuple[ReceivedPing | None, Reso
             raise
         return None, run.sampler.fewer_samples(error)
     return received, run.review(received)
-
-
-def _sample_once(run: Run, setup: PingSetup, resolution: Resolution) -> ReceivedPing:
-    """Draw and receive a ping; how finely its image sources are sampled is chosen now."""
-    resolution = replace(resolution, halvings=run.image_sampling.begin(resolution.check))
-    (drawn,) = draw(run.image_sources, [setup], resolution)
-    return receive(drawn)
 
 
 def choose_samples(search: LevelSearch, setup: PingSetup) -> ChosenView:
@@ -112,23 +184,6 @@ def with_finer_images(sources: ImageSources, received: ReceivedPing, resolution:
     (images,) = draw_images(sources, resolution, [before.view], [before.setup], before.images)
     drawn = replace(before, resolution=resolution, images=images)
     return replace(received, drawn=drawn, multipath=receive_multipath(drawn))
-
-
-def draw(
-    sources: ImageSources | None, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
-) -> list[DrawnPing]:
-    """Draw the depth + normal pass of some pings, and of their image sources. Inside `drawing`."""
-    n, further = len(setups), [further_states(setup) for setup in setups]
-    poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
-    for setup, more in zip(setups, further, strict=True):
-        poses += [setup.head_pose] * len(more.needed)
-        states += more.needed
-    views = resolution.stage.draw(poses, states, with_bodies=True, keep_last=keep_last)
-    images, further_views = draw_images(sources, resolution, views[:n], setups), iter(views[n:])
-    return [
-        DrawnPing(setup, resolution, view, of_images, more.drawn(further_views))
-        for setup, view, of_images, more in zip(setups, views[:n], images, further, strict=True)
-    ]
 
 
 def draw_images(
@@ -157,18 +212,6 @@ def further_states(setup: PingSetup) -> FurtherStates:
         lobes=state.without_diffuse_echo() if setup.needs_lobes else None,
         texture=None if setup.texture is None else state.with_reflectivity(setup.texture),
     )
-
-
-def receive(drawn: DrawnPing) -> ReceivedPing:
-    """Sum the samples of a ping into beams and range bins. No OpenGL: may run in another thread."""
-    setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
-    # the gain holds transmission loss both ways, and TVG
-    if setup.request.labels:
-        direct, bodies = beamformer.sum_bodies(drawn.view, setup.gain)
-        labels = label(drawn, bodies)
-    else:
-        direct, labels = beamformer.sum_view(drawn.view, setup.gain), None
-    return receive_more(drawn, direct, labels)
 
 
 def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> ReceivedPing:
@@ -236,30 +279,15 @@ def shadowed_background(drawn: DrawnPing) -> ShadowedBackground | None:
     return ShadowedBackground(drawn.setup.background, background)
 
 
-def finish(run: Run, received: ReceivedPing, report: PingReport) -> Ping:
-    """Assemble a ping of a scene; warn if it has no echo."""
-    if report.no_echo is not None:
-        warn_caller(report.no_echo)
-    return assemble(run.instrument, received, report.origin, run.world.thread, report.error_estimate)
+def filtered_powers(received: ReceivedPing, thread: SecondThread) -> dict[str, np.ndarray | None]:
+    """Return the powers of a ping behind the matched filter, by the fields of `Ping` that they are.
 
-
-def assemble(
-    instrument: Instrument,
-    received: ReceivedPing,
-    origin: SampleOrigin,
-    thread: SecondThread,
-    error_estimate: float | None = None,
-) -> Ping:
-    """Do the receiver's last steps in their order: matched filter, motion during the ping, cross-talk, noise.
-
-    Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`). The thread helps with the
-    matched filter and the noise.
+    Each is (B, K) float32, linear, or None where the ping does not need it.
     """
     setup = received.drawn.setup
     echo = (
         received.direct.with_more(received.multipath).with_more(received.volume).with_more(received.surface)
     )
-    request, labels, label_level_db = setup.request, {}, None
     single_scatterers = None if setup.acoustics.scatterer_density_m3 is None else received.volume
     parts = echo, received.lobes, received.texture, single_scatterers
     intensity, coherent, texture, volume = (
@@ -268,24 +296,27 @@ def assemble(
     )
     if texture is not None and coherent is not None:  # specular lobes are in both views
         texture = np.maximum(texture - coherent, 0)
-    if received.labels is not None:  # by the mean echo: they do not depend on the noise's seed
-        label_level_db = request.label_level_db
-        if label_level_db is None:
-            label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
-        found = without_faint(received.labels, intensity, 10 ** (label_level_db / 10))
-        level = setup.acoustics.pulse_level(instrument.sonar)  # as the intensity has it
-        labels = vars(replace(found, body_echo=found.body_echo * level))
-    for array in (intensity, coherent, texture, volume, *labels.values()):
-        if array is not None:
-            array.setflags(write=False)
-    powers = {"intensity": intensity, "coherent": coherent, "texture_deviation": texture, "volume": volume}
-    ping = ping_of(
-        instrument, received, origin, label_level_db, error_estimate=error_estimate, **powers, **labels
-    )
-    ping = with_cross_talk(shown_in_motion(ping, request.velocity))
-    if request.noise is None:
-        return ping
-    return add_noise(ping, request.noise, request.seed, request.number, thread)
+    return {"intensity": intensity, "coherent": coherent, "texture_deviation": texture, "volume": volume}
+
+
+def shown_labels(
+    instrument: Instrument, received: ReceivedPing, intensity: np.ndarray
+) -> tuple[dict[str, np.ndarray], float | None]:
+    """Return the labels of a ping by the fields of `Ping`, and the level of the faintest bin that has one, dB.
+
+    Nothing, and None, without labels. By the mean echo: they do not depend on the noise's seed.
+
+    intensity : (B, K) behind the matched filter
+    """
+    if received.labels is None:
+        return {}, None
+    setup = received.drawn.setup
+    label_level_db = setup.request.label_level_db
+    if label_level_db is None:
+        label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
+    found = without_faint(received.labels, intensity, 10 ** (label_level_db / 10))
+    level = setup.acoustics.pulse_level(instrument.sonar)  # as the intensity has it
+    return vars(replace(found, body_echo=found.body_echo * level)), label_level_db
 
 
 def ping_of(
