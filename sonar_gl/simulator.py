@@ -139,6 +139,11 @@ class Simulator:
         -------
         Plan, or None if the samples were given to begin with; those of image sources, which no sampling gives, are
             chosen for these poses also then
+
+        Warns
+        -----
+        sonar_gl.sonar.sampling.ToleranceWarning
+            if the tolerance cannot be met; a UserWarning, too.
         """
         per_ping = {"bodies": bodies, "times_s": times_s, "reflectivities": reflectivities, "waters": waters}
         requests = list(requests_of(poses, per_ping))
@@ -212,6 +217,16 @@ class Simulator:
         bodies move, give `bodies`, or have a generator of poses `place` them before it yields the pose. A `place` or
         `add` between two pings that come out acts several pings later; a warning says so once. Where a pose depends
         on the pings before, use `ping`.
+
+        Raises
+        ------
+        Error
+            for what is wrong with a ping: after the pings before it have come out.
+
+        Warns
+        -----
+        UserWarning
+            as `ping`; and once, if bodies were placed or added too late for some pings.
         """
         per_ping = {"bodies": bodies, "times_s": times_s, "velocities": velocities}
         per_ping |= {"reflectivities": reflectivities, "waters": waters}
@@ -246,6 +261,10 @@ class Simulator:
         """Return what the depth + normal pass sees from `pose`: one `GBuffer` for each of `self.fan.sectors`.
 
         Axes are those of the head, `Sonar.head_pose` of the pose.
+
+        Parameters
+        ----------
+        pose : (4, 4) world_from_sonar, metres, of the housing
         """
         with self._run.drawing():
             renderer = self._run.sampler.resolution.stage.renderer

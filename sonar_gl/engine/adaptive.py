@@ -65,6 +65,11 @@ class Choice:
     planned: frozenset[int] | None = None
     is_due: bool = False
 
+    @property
+    def is_planned(self) -> bool:
+        """Whether the samples are fixed."""
+        return self.planned is not None
+
 
 class PingHistory(NamedTuple):
     """The pings so far, as the sampler knows them.
@@ -198,7 +203,7 @@ class AdaptiveSampling:
         return cost + n_samples / COARSER + FIXED_SAMPLES if check else cost
 
     def _most_cost(self, history: PingHistory) -> float:
-        """Return what the last ping of a history, which is one of RECENT itself, may cost."""
+        """Return the most that the last ping of a history may cost; it is one of those that say so itself."""
         return MOST_COST * median(history.costs)
 
     def _can_check(self, history: PingHistory) -> bool:
@@ -208,14 +213,14 @@ class AdaptiveSampling:
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
         level = self.choice.level - 1
-        if level < 0 or self.choice.planned is not None:
+        if level < 0 or self.choice.is_planned:
             raise error
         self.choice = replace(self.choice, level=level, finest=level, is_due=True)
         return replace(self.resolution, check=True)
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, since the last check, by the sum of the echo."""
-        if self.choice.planned is not None:
+        if self.choice.is_planned:
             return False
         before = 0.0 if self.choice.last_check is None else self.choice.last_check.total
         return abs(total - before) > CHECK_CHANGE * before
@@ -229,35 +234,34 @@ class AdaptiveSampling:
 
     def error_estimate(self, setup: PingSetup) -> float | None:
         """Return the estimated error of a ping; None where samples were fixed for other poses, bodies or water."""
-        planned = self.choice.planned
-        return None if planned is not None and _view_of(setup) not in planned else self.plan.bound
+        choice = self.choice
+        return None if choice.is_planned and _view_of(setup) not in choice.planned else choice.plan.bound
 
     def history_with(self, setup: PingSetup) -> PingHistory:
         """Return the history with a ping to come, which has the samples of those before; planned ones are not in it."""
         before = self.history
-        if self.choice.planned is not None:
+        if self.choice.is_planned:
             return before
         costs = *before.costs[1 - RECENT :], self._cost(self.choice.level)
         return PingHistory(before.n_pings + 1, setup.placement, costs)
 
     def is_check_due(self, history: PingHistory) -> bool:
         """Return whether the error of the last ping of a history is to be estimated."""
-        choice, check = self.choice, self.choice.last_check
-        if choice.planned is not None:
+        choice, checked = self.choice, self.choice.last_check
+        if choice.is_planned:
             return False
         # the first one, or one that follows a ping that is still to choose
-        if check is None or len(history.costs) == 1:
+        if checked is None or len(history.costs) == 1:
             return True
-        n_pings = history.n_pings - check.n_pings
-        is_due = choice.is_due or self._trigger.is_due(check.placement, history.last, n_pings)
+        n_pings = history.n_pings - checked.n_pings
+        is_due = choice.is_due or self._trigger.is_due(checked.placement, history.last, n_pings)
         return is_due and self._can_check(history)
 
     def is_apart(self, setup: PingSetup) -> bool:
         """Return whether a ping asks to be sampled by itself, or lies far from the last one."""
         if setup.request.alone:
             return True
-        is_first, is_planned = self.choice.last_check is None, self.choice.planned is not None
-        if is_first or is_planned:
+        if self.choice.last_check is None or self.choice.is_planned:
             return False
         return self._trigger.is_far(self.history.last, setup.placement)
 

@@ -33,7 +33,11 @@ class ReplanTrigger:
         self._far_rad = math.radians(turn_deg)
 
     def is_due(self, before: Placement, after: Placement, n_pings: int) -> bool:
-        """Return whether sonar or bodies have changed much since the last check, or a little for `n_pings`, long."""
+        """Return whether sonar or bodies have changed much since the last check, or a little, and that is long ago.
+
+        before, after : Placement of the ping that was checked and of the one to come
+        n_pings : from the one to the other
+        """
         moved, turned, brighter = self._change(before, after)
         if moved <= 0.0 and turned < 1e-6 and brighter == 1.0:
             return False

@@ -105,6 +105,11 @@ class World:
         time_s : seconds, None for 0
         with_bubbles : of the scene's plumes, if there are any
         reflectivity : None, or names of bodies to μ, 0..1
+
+        Raises
+        ------
+        Error
+            if a name is of nothing in the scene, or a value is not one of these.
         """
         state, plume_poses = self._moved(bodies)
         if time_s is not None:
@@ -123,14 +128,20 @@ class World:
         return replace(state, bubbles=bubbles)
 
     def mask_of(self, names) -> np.ndarray:
-        """Return (bodies + 1,) bool by number, True for these bodies: a background for shadows."""
+        """Return (bodies + 1,) bool by number, True for these bodies: a background for shadows.
+
+        Raises
+        ------
+        Error
+            if a name is of no body in the scene.
+        """
         out = np.zeros(len(self.scene.bodies) + 1, bool)
         for name in names:
             out[1 + self._index_of(name, "background")] = True
         return out
 
     def place(self, bodies) -> None:
-        """Put bodies elsewhere from now on, as for `state_of`; inside `drawing`."""
+        """Put bodies elsewhere from now on; parameter and errors as of `state_of`; inside `drawing`."""
         check_kind("bodies", bodies, dict, BODIES_CURE)
         before, plumes = self.engine.meshes.state, self._plume_poses
         self.engine.meshes.state, self._plume_poses = self._moved(bodies)
@@ -214,7 +225,14 @@ class World:
         return out
 
     def add(self, bodies) -> None:
-        """Append bodies or plumes; inside `drawing`."""
+        """Append bodies or plumes; inside `drawing`.
+
+        Raises
+        ------
+        Error
+            if one is neither, or has a name that the scene has; if there are too many; or in the middle of a ping that
+            another simulator makes in this thread.
+        """
         for body in bodies:
             check_kind("body", body, Body | Bubbles, "such as sonar_gl.Body('box', mesh)")
         n_before = len(self.scene.bodies)
