@@ -833,7 +833,7 @@ MUTATIONS = (
     Mutation("planner/brighter bodies", "or brighter > CHECK_BRIGHTER", "", ADAPTIVE),
     Mutation(
         "planner/far pings follow",
-        "return self._trigger.is_far(self.history.last, setup.placement)",
+        "return self._trigger.is_far(self.history.last, setup)",
         "return False",
         ADAPTIVE,
     ),

@@ -17,7 +17,7 @@ import numpy as np
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.error_model import COARSER, Judgement
-from sonar_gl.engine.flow import PingSetup, Placement, Plan, ReceivedPing, Resolution
+from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.replan_trigger import ReplanTrigger
 from sonar_gl.engine.stage import StageCache
@@ -34,12 +34,12 @@ class LastCheck(NamedTuple):
 
     Attributes
     ----------
-    placement : Placement of that ping
+    setup : PingSetup of that ping
     total : the sum of its echo
     n_pings : of the history by then
     """
 
-    placement: Placement
+    setup: PingSetup
     total: float
     n_pings: int
 
@@ -77,12 +77,12 @@ class PingHistory(NamedTuple):
     Attributes
     ----------
     n_pings : how many
-    last : Placement of the last one; None before the first
+    last : PingSetup of the last one; None before the first
     costs : of the last RECENT of them, in samples; empty where the last one is still to choose its samples, alone
     """
 
     n_pings: int = 0
-    last: Placement | None = None
+    last: PingSetup | None = None
     costs: tuple[float, ...] = ()
 
 
@@ -198,7 +198,9 @@ class AdaptiveSampling:
         """Return about what a ping costs, with a check of its error or without, in samples of the whole fan."""
         stage = self.resolution.stage
         per_count = stage.fan.n_samples / stage.sampling.count(self._sonar)
-        n_samples = per_count * sampling_at(self._sonar, level).count(self._sonar)
+        # each ping asks for that of its own level, which the stage has at hand
+        sampling = stage.sampling if level == self.choice.level else sampling_at(self._sonar, level)
+        n_samples = per_count * sampling.count(self._sonar)
         cost = n_samples + FIXED_SAMPLES
         return cost + n_samples / COARSER + FIXED_SAMPLES if check else cost
 
@@ -243,7 +245,7 @@ class AdaptiveSampling:
         if self.choice.is_planned:
             return before
         costs = *before.costs[1 - RECENT :], self._cost(self.choice.level)
-        return PingHistory(before.n_pings + 1, setup.placement, costs)
+        return PingHistory(before.n_pings + 1, setup, costs)
 
     def is_check_due(self, history: PingHistory) -> bool:
         """Return whether the error of the last ping of a history is to be estimated."""
@@ -254,7 +256,7 @@ class AdaptiveSampling:
         if checked is None or len(history.costs) == 1:
             return True
         n_pings = history.n_pings - checked.n_pings
-        is_due = choice.is_due or self._trigger.is_due(checked.placement, history.last, n_pings)
+        is_due = choice.is_due or self._trigger.is_due(checked.setup, history.last, n_pings)
         return is_due and self._can_check(history)
 
     def is_apart(self, setup: PingSetup) -> bool:
@@ -263,11 +265,11 @@ class AdaptiveSampling:
             return True
         if self.choice.last_check is None or self.choice.is_planned:
             return False
-        return self._trigger.is_far(self.history.last, setup.placement)
+        return self._trigger.is_far(self.history.last, setup)
 
     def history_with_apart(self, setup: PingSetup) -> PingHistory:
         """Return the history with a ping to come whose samples are being chosen from it alone."""
-        return PingHistory(self.history.n_pings + 1, setup.placement)
+        return PingHistory(self.history.n_pings + 1, setup)
 
     def follow(self, setup: PingSetup, plan: Plan, total: float, n_pings: int) -> None:
         """Warn if samples that were chosen from a ping alone do not suffice; then have later pings follow them.
@@ -279,17 +281,17 @@ class AdaptiveSampling:
         if setup.request.alone:
             return
         finest = self.search.finest if plan.met else plan.level
-        choice = Choice(plan.level, finest, plan, LastCheck(setup.placement, total, n_pings))
+        choice = Choice(plan.level, finest, plan, LastCheck(setup, total, n_pings))
         history = self.history
         if n_pings >= history.n_pings:  # else later ones were added meanwhile
             costs = (float(plan.n_samples + FIXED_SAMPLES),)  # another place has other costs
-            history = PingHistory(n_pings, setup.placement, costs)
+            history = PingHistory(n_pings, setup, costs)
         # in one step: a ping near the one before this, after an interrupt between, would follow this choice
         self.choice, self.history = choice, history
 
     def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
         """Return the LastCheck of a ping that ends the history."""
-        return LastCheck(setup.placement, total, self.history.n_pings)
+        return LastCheck(setup, total, self.history.n_pings)
 
     def _warn_if_unmet(self, plan: Plan) -> None:
         """Warn of a tolerance that cannot be kept, once until it can.

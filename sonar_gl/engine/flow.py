@@ -20,19 +20,6 @@ from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import WORST_BODY, Sampling
 
 
-class Placement(NamedTuple):
-    """Where the sonar and the bodies are in a ping.
-
-    Attributes
-    ----------
-    pose : (4, 4) world_from_head
-    state : SceneState
-    """
-
-    pose: np.ndarray
-    state: SceneState
-
-
 @dataclass(frozen=True, eq=False)
 class PingSetup:
     """A request, resolved in the scene.
@@ -65,11 +52,6 @@ class PingSetup:
     needs_lobes: bool = False
     texture: np.ndarray | None = None
     n_plumes: int = 0
-
-    @property
-    def placement(self) -> Placement:
-        """Where the sonar and the bodies are."""
-        return Placement(self.head_pose, self.state)
 
 
 @dataclass(frozen=True)

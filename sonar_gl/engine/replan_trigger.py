@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sonar_gl.engine.flow import Placement
+from sonar_gl.engine.flow import PingSetup
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.sonar import Sonar
 
@@ -32,10 +32,10 @@ class ReplanTrigger:
         turn_deg = min(CHECK_TURN_DEG, sonar.azimuth_fov_deg / 4, sonar.elevation_fov_deg / 2)
         self._far_rad = math.radians(turn_deg)
 
-    def is_due(self, before: Placement, after: Placement, n_pings: int) -> bool:
+    def is_due(self, before: PingSetup, after: PingSetup, n_pings: int) -> bool:
         """Return whether sonar or bodies have changed much since the last check, or a little, and that is long ago.
 
-        before, after : Placement of the ping that was checked and of the one to come
+        before, after : of the ping that was checked and of the one to come
         n_pings : from the one to the other
         """
         moved, turned, brighter = self._change(before, after)
@@ -43,7 +43,7 @@ class ReplanTrigger:
             return False
         return self._is_much(moved, turned, brighter) or n_pings >= CHECK_EVERY
 
-    def is_far(self, before: Placement, after: Placement) -> bool:
+    def is_far(self, before: PingSetup, after: PingSetup) -> bool:
         """Return whether sonar or bodies have changed much between two pings, or bodies came or went."""
         return self._is_much(*self._change(before, after))
 
@@ -58,12 +58,12 @@ class ReplanTrigger:
         high, low = np.maximum(own, other), np.minimum(own, other)
         return float(np.where(high > low, high / np.maximum(low, 1e-12), 1.0).max(initial=1.0))
 
-    def _change(self, before: Placement, after: Placement) -> tuple[float, float, float]:
+    def _change(self, before: PingSetup, after: PingSetup) -> tuple[float, float, float]:
         """Return by how much sonar or bodies move, metres, and turn, radians, and how many times brighter or darker.
 
         Infinite if bodies came or went.
         """
-        moved, turned = _motion_of_one(before.pose, after.pose)
+        moved, turned = _motion_of_one(before.head_pose, after.head_pose)
         old, new = before.state, after.state
         if new is not old:
             if len(new.present) != len(old.present) or (new.present != old.present).any():

@@ -14,7 +14,7 @@ from sonar_gl.analysis.verify import ping_error
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import error_model, visibility
-from sonar_gl.engine.flow import Placement
+from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import COARSEST, ImageSources
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
@@ -436,11 +436,14 @@ class TestMoving:
 def test_the_trigger_s_angle_is_that_of_the_rotation():
     """A quarter of the field of view, 11.25 degrees, and half the aperture, 10: the smaller counts, about any axis."""
     state = SceneState(np.empty((0, 4, 4)), np.empty(0, bool))
-    trigger = ReplanTrigger(SONAR, lambda state: np.ones(len(state.poses)))
+    trigger, instrument = (
+        ReplanTrigger(SONAR, lambda state: np.ones(len(state.poses))),
+        Instrument(SONAR, IDEAL),
+    )
     for axis in ("roll", "pitch", "yaw"):
         for angle_deg, is_due in ((9.9, False), (10.1, True), (-9.9, False), (-10.1, True), (179.0, True)):
             turned = sg.pose(**{axis: math.radians(angle_deg)})
-            before, after = Placement(np.eye(4), state), Placement(turned, state)
+            before, after = (instrument.set_up(PingRequest(at), state, 0) for at in (np.eye(4), turned))
             assert trigger.is_due(before, after, 1) == is_due
 
 
