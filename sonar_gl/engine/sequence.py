@@ -291,6 +291,7 @@ def _finish_first(run: Run, upcoming: _Upcoming, in_flight: deque[_Started]) -> 
             is_good = received is not None and not run.review_ahead(received, first.choice)
             if is_good and received.drawn.resolution.plan is not None:
                 upcoming.follow(first.pings[0], received)
+            # where there is no echo, the report follows when the ping is drawn again
             report = run.report(received) if is_good and received.total > 0 else None
         if not is_good:
             upcoming.put_back(_undelivered(in_flight))
