@@ -285,15 +285,17 @@ def filtered_powers(received: ReceivedPing, thread: SecondThread) -> dict[str, n
     Each is (B, K) float32, linear, or None where the ping does not need it.
     """
     setup = received.drawn.setup
-    echo = (
-        received.direct.with_more(received.multipath).with_more(received.volume).with_more(received.surface)
-    )
-    single_scatterers = None if setup.acoustics.scatterer_density_m3 is None else received.volume
-    parts = echo, received.lobes, received.texture, single_scatterers
-    intensity, coherent, texture, volume = (
-        one if one is None or setup.pulse is None else matched_filter(one, setup.pulse, thread)
-        for one in (part and part.intensity for part in parts)
-    )
+
+    def filtered(echo: BeamEcho | None) -> np.ndarray | None:
+        if echo is None:
+            return None
+        return echo.intensity if setup.pulse is None else matched_filter(echo.intensity, setup.pulse, thread)
+
+    echo = received.direct.with_more(received.multipath).with_more(received.volume)
+    intensity = filtered(echo.with_more(received.surface))
+    coherent, texture = filtered(received.lobes), filtered(received.texture)
+    # speckle needs it by itself where the water has few scatterers
+    volume = None if setup.acoustics.scatterer_density_m3 is None else filtered(received.volume)
     if texture is not None and coherent is not None:  # specular lobes are in both views
         texture = np.maximum(texture - coherent, 0)
     return {"intensity": intensity, "coherent": coherent, "texture_deviation": texture, "volume": volume}
