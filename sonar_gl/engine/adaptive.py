@@ -39,9 +39,6 @@ FIRST_SAMPLES = 1 << 14
 # Finer by at most so many levels at once, four times the samples: estimates from few samples are rough. What is tried
 # on the way costs a third of the last try.
 MOST_STEPS_ALONE = 4
-# A ping by itself that needs so many times fewer samples than those before gives back their memory. Each one could, but
-# a ping that needs as much again would take the time to get it anew.
-MUCH_FEWER = 4
 
 CHECK_EVERY = 24  # pings: a check costs nearly another one
 CHECK_MOVE, CHECK_CHANGE = 0.05, 0.2  # of range_max_m; of the whole echo
@@ -238,7 +235,6 @@ class AdaptiveSampling:
         self._trigger, self._has_warned = ReplanTrigger(self._sonar, self._model.greatest_backscatter), False
         self.choice, self.history = Choice(self._guess), PingHistory()
         self._resolution = None, None  # the last level, and its Resolution
-        self._room = 0  # samples of the largest recent ping by itself, whose memory is kept
 
     @property
     def resolution(self) -> Resolution:
@@ -396,10 +392,7 @@ class AdaptiveSampling:
         further : states of which views are drawn along
         """
         tried, plan = self._try_alone(setup, further)
-        if MUCH_FEWER * plan.n_samples < self._room:
-            self._stages.drop_large()
-            self._room = 0
-        self._room = max(self._room, plan.n_samples)
+        self._stages.settle(plan.n_samples)
         return ChosenView(tried, plan)
 
     def _try_alone(self, setup: PingSetup, further: Sequence[SceneState]) -> ChosenView:
