@@ -107,13 +107,18 @@ class Workspace:
     def column_sums(self, n_columns: int, n_bins: int, n_wide_columns: int = 0) -> ColumnSums:
         """Return room for sums; what was summed before may be there still, within its spans.
 
-        There may be room for more wide columns, since image sources have two kinds of them.
+        All samplings share one table, which grows: a check of the error, which sums two of them, would else make and
+        clear two. There may be room for more wide columns, since image sources have two kinds of them.
         """
-        key, n_rows = (n_columns, n_bins), n_columns + n_wide_columns
-        if self._sums[0] != key or len(self._sums[1].all_sums) < n_rows:
-            sums = np.zeros((n_rows, n_bins), np.float32)
-            spans = np.tile([0, n_bins], (len(sums), 1))
-            self._sums = key, ColumnSums(sums[:n_columns], spans[:n_columns], sums, spans)
+        n_rows = n_columns + n_wide_columns
+        kept_columns, kept = self._sums
+        if kept is None or kept.all_sums.shape[1] != n_bins or len(kept.all_sums) < n_rows:
+            sums, spans = np.zeros((n_rows, n_bins), np.float32), np.tile([n_bins, 0], (n_rows, 1))
+        elif kept_columns == n_columns:
+            return kept
+        else:
+            sums, spans = kept.all_sums, kept.all_spans
+        self._sums = n_columns, ColumnSums(sums[:n_columns], spans[:n_columns], sums, spans)
         return self._sums[1]
 
     def label_sums(self, n_bins: int) -> LabelSums:

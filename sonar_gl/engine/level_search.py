@@ -22,9 +22,6 @@ FIRST_SAMPLES = 1 << 14
 # Finer by at most so many levels at once, four times the samples: estimates from few samples are rough. What is tried
 # on the way costs a third of the last try.
 MOST_STEPS_ALONE = 4
-# A ping by itself that needs so many times fewer samples than those before gives back their memory. Each one could, but
-# a ping that needs as much again would take the time to get it anew.
-MUCH_FEWER = 4
 
 
 class ChosenView(NamedTuple):
@@ -85,7 +82,6 @@ class LevelSearch:
         self.finest = FINEST_LEVEL
         self.usual = min(typical_level(self.model.tolerance), self.finest)
         self._first_alone = max(self.usual, level_of(stages.sonar, FIRST_SAMPLES))
-        self._room = 0  # samples of the largest recent ping by itself, whose memory is kept
 
     def choose(self, setup: PingSetup, further: Sequence[SceneState] = ()) -> ChosenView:
         """Try finer samples until they keep the tolerance; the last that were tried are those of the ping.
@@ -102,11 +98,7 @@ class LevelSearch:
             if the coarsest samples do not fit.
         """
         chosen = self._try_finer(setup, further)
-        n_samples = chosen.plan.n_samples
-        if MUCH_FEWER * n_samples < self._room:
-            self._stages.drop_large()
-            self._room = 0
-        self._room = max(self._room, n_samples)
+        self._stages.settle(chosen.plan.n_samples)
         return chosen
 
     def _try_finer(self, setup: PingSetup, further: Sequence[SceneState]) -> ChosenView:

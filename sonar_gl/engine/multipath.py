@@ -200,7 +200,7 @@ class ImageSources:
         self._image_stages = StageCache(engine, sonar, acoustics, thread, widths, pools)
         self._wavenumber_rad_m = 2 * math.pi * sonar.frequency_hz / acoustics.water.sound_speed()
         self._wave_height_m = acoustics.water.wave_height_m()
-        self._scene, self._reflectors, self._rows = None, [], 0
+        self._scene, self._reflectors = None, []
         self.use_scene(scene)
 
     def use_scene(self, scene: Scene) -> None:
@@ -294,10 +294,8 @@ class ImageSources:
             rows=min(math.ceil(stage.sampling.rows / thinning.rows), MAX_ROWS),
         )
         # halved ones may be for this ping alone, or for a first look at it
-        if stage.sampling.rows < self._rows:
-            self._own_stages.drop_large()
-            self._image_stages.drop_large()
-        self._rows = stage.sampling.rows
+        for stages in (self._own_stages, self._image_stages):
+            stages.settle(stage.fan.n_samples)
         return self._own_stages.stage(sampling), self._image_stages.stage(sampling)
 
     def _own_views(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,8 +22,10 @@ from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sector import SHEAR
 from sonar_gl.sonar.sonar import Sonar
 
-MAX_STAGES = 12  # a few samplings that pings need in turn, and the half of each
+MAX_STAGES = 48  # the levels of pings that choose their samples alone, of image sources at each halving
 MAX_BYTES = 40e6  # of tables in all stages but the last two
+# The memory of views is given back where so many in a row have so many times fewer samples than the largest before.
+KEPT_VIEWS, MUCH_FEWER = 16, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +103,8 @@ class StageCache:
         # by shear: the samples of both lattices are compared, so that neither may overwrite those of the other
         self._render_workspaces: dict[float, RenderWorkspace] = {}
         self._stages: dict[tuple, Stage] = {}
+        # samples of the last views, and of the largest one whose memory is kept
+        self._recent, self._room = deque(maxlen=KEPT_VIEWS), 0
 
     @property
     def pools(self) -> ArrayPools:
@@ -123,6 +128,18 @@ class StageCache:
         while len(self._stages) > MAX_STAGES or (len(self._stages) > 2 and n_bytes > MAX_BYTES):
             n_bytes -= self._stages.pop(next(iter(self._stages))).beamformer.n_bytes
         return made
+
+    def settle(self, n_samples: int) -> None:
+        """Note how many samples a view has; give back the memory of larger ones if many in a row have far fewer.
+
+        Each could give it back, but a view that has as many again would take the time to get it anew.
+        """
+        self._recent.append(n_samples)
+        most = max(self._recent)
+        if MUCH_FEWER * most < self._room:
+            self.drop_large()
+            self._room = most
+        self._room = max(self._room, most)
 
     def drop_large(self) -> None:
         """Give back the memory of large render targets, and what was freed; samples that were drawn stay valid."""

@@ -166,23 +166,23 @@ def _count_samples(
 def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Reception) -> BodyCounts:
     """Count the samples on each body, and about the echo of each."""
     counts, echo, unlike = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1), np.zeros((2, n_bodies + 1))
-    strands = np.zeros(n_bodies + 1)
     bins = reception.sonar.range_min_m, 1.0 / reception.sonar.bin_size_m
     gains = reception.gain, reception.elevation_table
-    for one, received in zip(samples, reception.received_u, strict=True):
+    places = np.zeros((len(samples), n_bodies + 1, JJ + 1))
+    for one, received, of_sector in zip(samples, reception.received_u, places, strict=True):
+        if not one.plane_echo.size:  # no body lies in it
+            continue
         arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
         limits = one.sector.strips.sines, math.tan(one.sector.half_width_rad), received
-        places = np.zeros((n_bodies + 1, JJ + 1))
-        _count_samples(arrays, one.lattice, *limits, bins, *gains, counts, echo, unlike, places)
-        strands += _strands(places)
+        _count_samples(arrays, one.lattice, *limits, bins, *gains, counts, echo, unlike, of_sector)
     # half the mean square of the differences of two is their variance; stripes show across them alone
-    return BodyCounts(counts, echo, np.sqrt(unlike.max(axis=0) / 2), strands)
+    return BodyCounts(counts, echo, np.sqrt(unlike.max(axis=0) / 2), _strands(places).sum(axis=0))
 
 
 def _strands(places) -> np.ndarray:
-    """Return the strands of `BodyCounts` in one sector; places : of `_count_samples`."""
-    n, along, across = places[:, N], places[:, ALONG], places[:, ACROSS]
-    i, j, ii, ij, jj = places[:, I:].T / np.maximum(n, 1.0)
+    """Return the strands of `BodyCounts` in each sector, (sectors, bodies + 1); places : of `_count_samples`."""
+    n, along, across = places[..., N], places[..., ALONG], places[..., ACROSS]
+    i, j, ii, ij, jj = np.moveaxis(places[..., I:], -1, 0) / np.maximum(n, 1.0)
     of_i, of_j, of_both = ii - i * i, jj - j * j, ij - i * j
     least = (of_i + of_j) / 2 - np.hypot((of_i - of_j) / 2, of_both)
     # an even strip of a width has a twelfth of its square as the variance across it

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from sonar_gl.core.reused_array import ReusedArray
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.cpu.visibility_buffer import (
     PatchFaces,
@@ -39,11 +40,6 @@ from sonar_gl.sonar.samples import NO_FACES, ViewSamples
 # About what a face and a sample cost, ns. A ping that costs less is drawn in one thread: handing half of it to the
 # other one takes 10 to 20 us.
 FACE_NS, SAMPLE_NS, FEW_NS = 20, 4, 60_000
-# An array is made so many times larger than needed: the system provides memory only for what is used. It is replaced by
-# a smaller one where it has more than MAX_ENTRIES_PER_NEEDED entries for each, or else a coarse ping would keep the
-# memory of a fine one; not below MIN_KEPT entries.
-RESERVE, MAX_ENTRIES_PER_NEEDED, MIN_KEPT = 2, 4, 1 << 16
-MAX_KEPT_SAMPLES = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,30 +81,11 @@ class LoadedMeshes:
         return np.concatenate([old, *(f if p is None else p for p, f in zip(parts, fill, strict=True))])
 
 
-class _Array:
-    """An array that is used again, of as many entries as are asked for."""
-
-    def __init__(self, dtype, *row: int):
-        self._array = np.empty((0, *row), dtype)
-
-    def take(self, count: int) -> np.ndarray:
-        """Return an array of so many rows; what was in it may be there still."""
-        size = len(self._array)
-        if size < count or (size > MIN_KEPT and size > MAX_ENTRIES_PER_NEEDED * count):
-            self._array = np.empty((RESERVE * count, *self._array.shape[1:]), self._array.dtype)
-        return self._array[:count]
-
-    def drop_large(self) -> None:
-        """Drop an array of more than MAX_KEPT_SAMPLES rows; what was taken stays valid."""
-        if len(self._array) > MAX_KEPT_SAMPLES:
-            self._array = self._array[:0].copy()
-
-
 class _Image:
     """Samples of one view, side by side."""
 
     def __init__(self):
-        self._arrays = _Array(np.float32, 4), _Array(np.uint16), _Array(np.int32)
+        self._arrays = ReusedArray(np.float32, 4), ReusedArray(np.uint16), ReusedArray(np.int32)
 
     def take(self, width: int, height: int, with_bodies: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return plane_echo, body_id and face_id of `SectorSamples`; body_id of no size if it is not wanted."""
@@ -125,8 +102,8 @@ class _HalfWorkspace:
     """What one thread draws into: a visibility buffer and its triangles."""
 
     def __init__(self):
-        self._buffer = _Array(np.float32), _Array(np.int32)
-        self._triangles = _Array(np.float32, 4), _Array(np.int32, 3), _Array(float, 9)
+        self._buffer = ReusedArray(np.float32), ReusedArray(np.int32)
+        self._triangles = ReusedArray(np.float32, 4), ReusedArray(np.int32, 3), ReusedArray(float, 9)
         self._chosen: list[np.ndarray] = []
 
     def buffer(self, rows: int, columns: int) -> VisibilityBuffer:

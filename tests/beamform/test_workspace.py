@@ -1,0 +1,45 @@
+"""The memory that beamformers of one sonar share."""
+
+import numpy as np
+
+import sonar_gl as sg
+from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.beamform.workspace import Workspace
+from sonar_gl.sonar.fan import Fan
+
+SONAR = sg.Sonar("shared", 900e3, 32, 100, 30.0, 10.0, 1.0, 0.5, 10.0)
+SAMPLINGS = sg.Sampling(3, 16), sg.Sampling(9, 40), sg.Sampling(3, 16)  # of few columns, of many, of few again
+
+
+def points_in(fan: Fan, seed: int) -> np.ndarray:
+    """Return some point scatterers in a fan."""
+    rng, n = np.random.default_rng(seed), 200
+    azimuth = rng.uniform(fan.column_edges_rad[0], fan.column_edges_rad[-1], n)
+    return np.column_stack([azimuth, rng.uniform(-0.05, 0.05, n), rng.uniform(1, 9, n), rng.uniform(1, 2, n)])
+
+
+def test_samplings_of_other_columns_sum_in_one_table():
+    """A check of the error sums two samplings; to make and clear a table for each took more time than the sums."""
+    workspace = Workspace()
+    workspace.column_sums(900, SONAR.n_bins)
+    few, many = (workspace.column_sums(n, SONAR.n_bins) for n in (300, 900))
+    assert len(few.sums) == len(few.spans) == 300
+    assert len(many.sums) == len(many.spans) == 900
+    for one, other in ((few.sums, many.sums), (few.spans, many.spans), (few.all_sums, many.all_sums)):
+        assert np.shares_memory(one, other)
+
+
+def test_what_another_sampling_summed_leaves_no_echo():
+    workspace, n_columns = Workspace(), []
+    for number, sampling in enumerate(SAMPLINGS):
+        shared, alone = (
+            make_beamformer(SONAR, sg.Acoustics.physical(), sampling, workspace=space)
+            for space in (workspace, Workspace())
+        )
+        points = points_in(shared.fan, number)
+        found, expected = (former.sum_points(points) for former in (shared, alone))
+        assert expected.total > 0
+        np.testing.assert_array_equal(found.intensity, expected.intensity)
+        assert found.total == expected.total
+        n_columns.append(shared.fan.n_columns)
+    assert n_columns[1] > n_columns[0] == n_columns[2]

@@ -1,0 +1,57 @@
+"""Arrays that are used again: when they become larger, when smaller."""
+
+import numpy as np
+import pytest
+
+from sonar_gl.core.reused_array import MAX_KEPT_ROWS, MIN_KEPT, USES_BEFORE_SMALLER, ReusedArray
+
+MANY, FEW = 10 * MIN_KEPT, 100
+
+
+@pytest.fixture
+def array():
+    made = ReusedArray(np.float32, 4)
+    made.take(MANY)
+    return made
+
+
+def test_arrays_have_the_rows_that_are_asked_for(array):
+    for count in (0, 1, FEW, MANY, 2 * MANY, 20 * MANY):
+        assert array.take(count).shape == (count, 4)
+    assert array.take(1).dtype == np.float32
+
+
+def test_uses_that_take_turns_have_one_array(array):
+    """As the sectors of a ping do: those of side lobes need few rows."""
+    size = len(array)
+    for _ in range(3 * USES_BEFORE_SMALLER):
+        assert np.shares_memory(array.take(MANY), array.take(FEW))
+    assert len(array) == size
+
+
+def test_a_smaller_array_follows_where_many_uses_in_a_row_need_few_rows(array):
+    size, most = len(array), 7 * FEW
+    for number in range(USES_BEFORE_SMALLER):
+        array.take(most if number == 5 else FEW)
+        assert len(array) == size
+    array.take(FEW)
+    assert most <= len(array) < size / 4  # as large as the largest of these uses
+
+
+def test_small_arrays_stay():
+    array = ReusedArray(np.int32)
+    array.take(MIN_KEPT // 2)
+    size = len(array)
+    for _ in range(2 * USES_BEFORE_SMALLER):
+        array.take(1)
+    assert len(array) == size
+
+
+def test_large_arrays_are_dropped_where_asked_and_what_was_taken_stays(array):
+    taken = array.take(MANY)
+    taken[:] = 3.0
+    array.drop_large()
+    assert MANY > MAX_KEPT_ROWS > MIN_KEPT
+    assert len(array) == 0
+    array.take(MANY)[:] = 4.0
+    assert (taken == 3.0).all()
