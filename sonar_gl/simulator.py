@@ -250,6 +250,8 @@ class Simulator:
     def add(self, *bodies) -> None:
         """Put more bodies or plumes into the scene; the numbers of those that are there stay.
 
+        Many are given at once, as `simulator.add(*bodies)`: each call goes through all that are there.
+
         Parameters
         ----------
         bodies : Body or Bubbles objects, with names that the scene does not have

@@ -18,6 +18,7 @@ from sonar_gl import cli
 from sonar_gl._version import __version__
 from sonar_gl.core.atomic_file import atomic_write
 from sonar_gl.core.data_files import data_folder
+from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import install_command, pip_install
 
 PACKAGES = (  # name of the import, name of the package
@@ -64,19 +65,18 @@ def examine() -> list[Finding]:
     python = f"{platform.python_version()}, {platform.system()} {platform.machine()}, {sys.prefix}"
     found = [Finding("sonar_gl", True, __version__), Finding("Python", True, python)]
     found += [check_package(module, name) for module, name in PACKAGES]
-    # each loads `system_checks` by itself, which fails without a package
     for what, check, cure in (
-        ("pyrender", lambda: cli.system_checks.check_pyrender(), pip_install("pyrender")),
+        ("pyrender", system_check("check_pyrender"), pip_install("pyrender")),
         ("embreex", check_embreex, install_command("reference")),
         ("shaders", check_shaders, INSTALL_AGAIN),
-        ("scenes", lambda: cli.system_checks.check_scenes(), INSTALL_AGAIN),
-        ("EGL", lambda: cli.system_checks.check_egl(), ""),
-        ("OpenGL", lambda: cli.system_checks.check_opengl(), ""),  # the message holds the cure
-        ("engine", lambda: cli.system_checks.check_raster_engine(), ""),
-        ("compiled functions", lambda: cli.system_checks.check_compiled_functions(), ""),
+        ("scenes", system_check("check_scenes"), INSTALL_AGAIN),
+        ("EGL", system_check("check_egl"), ""),
+        ("OpenGL", system_check("check_opengl"), ""),  # the message holds the cure
+        ("engine", system_check("check_raster_engine"), ""),
+        ("compiled functions", system_check("check_compiled_functions"), ""),
         (
             "known scene",
-            lambda: cli.system_checks.check_known_scene(),
+            system_check("check_known_scene"),
             "correct the failures above; if there are none, report this",
         ),
     ):
@@ -87,6 +87,22 @@ def examine() -> list[Finding]:
         except Exception as why:  # the check reports whatever does not work
             found.append(Finding(what, False, " ".join(str(why).split()), cure))
     return found
+
+
+def system_check(name: str):
+    """Return a check of `system_checks`.
+
+    It raises an ImportError where that cannot be loaded, since a package is missing, or since Numba may not compile.
+    """
+
+    def check():
+        try:
+            checks = cli.system_checks
+        except Error as why:
+            raise ImportError(str(why)) from None
+        return getattr(checks, name)()
+
+    return check
 
 
 def report_text(found: list[Finding]) -> str:
@@ -110,7 +126,7 @@ def write_report(path: Path, found: list[Finding]) -> None:
     report["checks"] = [finding._asdict() for finding in found]
     try:
         report |= cli.driver_report.measure()
-    except ImportError as why:
+    except (ImportError, Error) as why:
         report["failed"] = str(why)
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")

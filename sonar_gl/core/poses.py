@@ -22,10 +22,14 @@ MAX_UNWRAPPED_RAD = 1e5  # 16000 turns, of which float64 still resolves 1e-11 ra
 ROUNDED = 1e-3  # deviation from a rotation that rounding may have caused, and hardly a scale
 MAX_POSITION_M = 1e9  # of an origin; squares of much greater lengths overflow
 MAX_TIME_S = 1e10  # Unix time with room to spare
+SINGLE_PRECISION_M = 2.0**16  # from here on float32 holds places to 8 mm, about a bin, or less finely
 
 
 def check_pose(matrix, what: str = "pose") -> np.ndarray:
-    """Return a rigid (4, 4) float64 `world_from_x`; raise an `Error` if the matrix is not rigid."""
+    """Return a rigid (4, 4) float64 `world_from_x`; raise an `Error` if the matrix is not rigid.
+
+    Warns of one in float32 so far from the origin, as in UTM, that its place has been rounded.
+    """
     out = frozen_array(matrix, np.float64, (4, 4), what, POSE_HINT)
     # Python floats take a sixth of NumPy's time for nine numbers, and this runs at every ping.
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = out.tolist()
@@ -44,6 +48,12 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
     if max(abs(x), abs(y), abs(z)) > MAX_POSITION_M:
         raise Error(
             f"{what} must lie within {MAX_POSITION_M:g} m of the origin (got x y z = {x:g} {y:g} {z:g}; give metres)"
+        )
+    if getattr(matrix, "dtype", None) == np.float32 and max(abs(x), abs(y), abs(z)) >= SINGLE_PRECISION_M:
+        # the same words for all poses: Python shows them once
+        warn_caller(
+            f"poses in float32 round places {SINGLE_PRECISION_M:.0f} m or more from the origin, by up to centimetres "
+            "(make them in float64 from the start, or take a nearer origin)"
         )
     return out
 

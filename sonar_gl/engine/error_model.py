@@ -228,10 +228,13 @@ class ErrorModel:
         sectors, (hits, echo, *_) = tried.view.sectors, tried.counts
         total, reception = echo.sum(), self._reception(tried.stage)
         counts = echo > MIN_ECHO_SHARE * total
-        could_count = self._extents.greatest_echo(state, pose, reception) > MIN_ECHO_SHARE * total
-        for body in np.flatnonzero(~counts & (hits < MIN_BODY_SAMPLES) & could_count):
-            one = bodies[body - 1], state.poses[body - 1]
-            counts[body] = is_unobstructed(sectors, body, *one, pose, reception, setup.surface_z_m)
+        greatest, least = self._extents.greatest_echo(state, pose, reception), MIN_ECHO_SHARE * total
+        for body in np.flatnonzero(~counts & (hits < MIN_BODY_SAMPLES) & (greatest > least)):
+            one = bodies[body - 1]
+            # samples on a mirror whose glint lies beside the fan have no echo, and are not among those that met it
+            if greatest[body] * self._extents.share_in_view(body, one, state, pose, reception) > least:
+                of_one = one, state.poses[body - 1], pose, reception, setup.surface_z_m
+                counts[body] = is_unobstructed(sectors, body, *of_one)
         return counts
 
     def greatest_backscatter(self, state: SceneState) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.difference import wrong_share
 from sonar_gl.engine.multipath import (
     COARSEST,
@@ -25,7 +26,7 @@ from sonar_gl.engine.multipath import (
 )
 from sonar_gl.engine.visibility import body_error
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
-from sonar_gl.sonar.sampling import WORST_BODY
+from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning
 
 # These were fitted to random pools (`tools/promise.py`). Multipath from the coarsest samples, which are compared with
 # nothing, nearly always errs by less than the first, relative to itself; from as many samples as of the direct echo, by
@@ -100,6 +101,7 @@ class HalvingChoice(NamedTuple):
     is_new : it follows no ping before: that from which it is chosen is drawn until it keeps the tolerance. Others leave
         what a comparison shows to the next ping, so that none takes much longer than those before
     is_due : the next ping is to be compared with one of the coarsest samples
+    finest : the least halvings whose samples are known to fit, in the last ping
     """
 
     halvings: int
@@ -107,6 +109,7 @@ class HalvingChoice(NamedTuple):
     error: MultipathError | None = None
     is_new: bool = False
     is_due: bool = False
+    finest: int = FINEST
 
 
 class ImageSampling:
@@ -123,7 +126,7 @@ class ImageSampling:
     """
 
     def __init__(self, tolerance: float, each_alone: bool):
-        self._tolerance, self._each_alone = tolerance, each_alone
+        self._tolerance, self._each_alone, self._has_warned = tolerance, each_alone, False
         self.choice = HalvingChoice(COARSEST)
 
     def begin_alone(self) -> int:
@@ -142,7 +145,7 @@ class ImageSampling:
             return self.begin_alone()
         if not self.choice.is_fixed:
             halvings = COARSEST if self.choice.is_due else self.choice.halvings
-            self.choice = self.choice._replace(halvings=halvings, is_new=False, is_due=check)
+            self.choice = self.choice._replace(halvings=halvings, is_new=False, is_due=check, finest=FINEST)
         return self.choice.halvings
 
     @property
@@ -193,7 +196,29 @@ class ImageSampling:
 
     def keep_to(self, halvings: int) -> None:
         """Halve rows no less often in the next ping, since finer samples do not fit."""
-        self.choice = self.choice._replace(halvings=max(self.choice.halvings, halvings))
+        self.choice = self.choice._replace(halvings=max(self.choice.halvings, halvings), finest=halvings)
+
+    def warn_if_unmet(self, echo: MultipathEcho | None) -> None:
+        """Warn of multipath that breaks the tolerance with the most samples that fit, once until it does not.
+
+        Not where the direct echo alone breaks it: the warning of that has been given. As the sonar moves, finer samples
+        than those of a ping may be left to the next.
+
+        echo : of a ping whose direct echo has an estimated error; None without multipath
+        """
+        error, is_unmet = 0.0, False
+        if echo is not None:
+            error = self.error_of(echo)
+            is_finest = echo.images.halvings <= max(_finest_for(echo.images), self.choice.finest)
+            is_unmet = is_finest and echo.direct_error <= self._tolerance < error
+        if is_unmet and not self._has_warned:
+            warn_caller(
+                f"tolerance {self._tolerance:g} cannot be met here: with the most samples that fit of what comes by "
+                f"way of planar reflectors, the estimate is {error:.3g}; go nearer, narrow the fan, ask for a larger "
+                "tolerance, or leave multipath out",
+                ToleranceWarning,
+            )
+        self._has_warned = is_unmet
 
     def error_of(self, echo: MultipathEcho) -> float:
         """Return the estimated error of the multipath in a ping, as a share of the whole echo, with the direct echo's.

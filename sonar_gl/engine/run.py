@@ -279,15 +279,19 @@ class Run:
         return self._origin
 
     def report(self, received: ReceivedPing) -> PingReport:
-        """Return what a ping tells beside its echo; inside `drawing`, or with the world `unchanged`."""
+        """Return what a ping tells beside its echo; inside `drawing`, or with the world `unchanged`.
+
+        Warns of multipath that breaks the tolerance.
+        """
         setup = received.drawn.setup
         no_echo = None
         if received.total <= 0:
             instrument, view = self.instrument, received.drawn.view.sectors
             no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
         estimate, echo = self._direct_error(received), self._multipath_of(received)
-        if estimate is not None and echo is not None:
-            estimate = max(estimate, self.image_sampling.error_of(echo))
+        if estimate is not None:
+            self.image_sampling.warn_if_unmet(echo)
+            estimate = estimate if echo is None else max(estimate, self.image_sampling.error_of(echo))
         origin = self.sample_origin()
         # others were added since it was set up, and are not in it
         if setup.n_bodies < len(origin.bodies) or setup.n_plumes < len(origin.plumes):

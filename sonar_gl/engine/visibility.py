@@ -22,6 +22,7 @@ MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing the
 POINTS = 256  # at most, on the edges of a body in a sector, are compared with the samples
 GLINT_REACH = 4.0  # times the rms slope: beyond, a specular lobe has 10⁻⁴ of its echo
 MAX_FLAT_FACES = 12  # directions of a body whose faces are flat: it is a glint as a whole, or not at all
+NO_GLINT = 1e-26  # of a lobe face on: a sample with less returns nothing
 MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
 STAGGER = 0.618034  # of the step between points, from edge to edge: so those of parallel edges lie apart
 BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
@@ -396,6 +397,59 @@ def glint_share(surface, roughness_rad: float) -> float:
     return min(1.0, GLINT_REACH * roughness_rad) ** (1 if is_round_once else 2)
 
 
+def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
+    """Return the most that the specular lobe of a body with flat faces may return per steradian in the fan.
+
+    A ray of the fan meets a flat face at no less than the angle between the face's normal and the fan, nor than where
+    the face is nearest to the sonar. Faces with other shading normals, and those of large meshes, count as face on.
+
+    Parameters
+    ----------
+    body, body_pose, pose : of `is_unobstructed`
+    """
+    face_on = specular_lobe(1.0, body.specular, body.roughness_rad)
+    surface, to_sonar = body.surface, pose[:3, :3].T @ body_pose[:3, :3]
+    if len(surface.faces) > MAX_CLIPPED_FACES:
+        return float(face_on)
+    corners = np.asarray(surface.vertices, np.float64)[np.asarray(surface.faces)]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(cross, axis=1)
+    corners, normals, faces = (one[areas > 0] for one in (corners, cross, surface.faces))
+    normals = normals / areas[areas > 0, None]
+    if body.normals is not None:
+        shading = np.asarray(body.normals, np.float64)[faces]
+        is_flat = (np.abs((shading * normals[:, None]).sum(axis=2)) > 1 - 1e-4) | ~shading.any(axis=2)
+        if not is_flat.all():
+            return float(face_on)
+    corners = corners @ to_sonar.T + pose[:3, :3].T @ (body_pose[:3, 3] - pose[:3, 3])
+    normals = normals @ to_sonar.T
+    apart_m = (normals * corners[:, 0]).sum(axis=1)  # of the planes of the faces from the sonar
+    # a face is nearest where the perpendicular meets it, if it does so between the edges
+    along = np.roll(corners, -1, axis=1) - corners
+    place = -(corners * along).sum(axis=2) / np.maximum((along * along).sum(axis=2), 1e-30)
+    edges_m = np.linalg.norm(corners + place.clip(0.0, 1.0)[..., None] * along, axis=2).min(axis=1)
+    to_foot = (normals * apart_m[:, None])[:, None] - corners
+    is_within = ((np.cross(along, to_foot) * normals[:, None]).sum(axis=2) >= 0.0).all(axis=1)
+    cosines = np.abs(apart_m) / np.maximum(edges_m, 1e-9)
+    angles = np.where(is_within, 0.0, np.arccos(np.clip(cosines, 0.0, 1.0)))
+    angles = np.maximum(angles, _beside_fan_rad(normals * np.sign(apart_m)[:, None], reception))
+    lobe = specular_lobe(np.cos(angles), body.specular, body.roughness_rad).max(initial=0.0)
+    return float(lobe) if lobe > NO_GLINT * face_on else 0.0
+
+
+def _beside_fan_rad(directions, reception: Reception) -> np.ndarray:
+    """Return by which angle at least (n, 3) directions in the frame of the sonar lie beside its fan, 0 inside."""
+    x, y, z = directions.T
+    half_azimuth = math.radians(reception.sonar.azimuth_fov_deg) / 2 + reception.reach_rad
+    above = np.abs(np.arcsin(np.clip(z, -1.0, 1.0))) - reception.max_elevation_rad
+    if reception.are_cones:
+        beside = np.abs(np.arcsin(np.clip(y, -1.0, 1.0))) - half_azimuth
+    else:
+        beside = np.clip(np.abs(np.arctan2(y, x)) - half_azimuth, 0.0, np.pi / 2)
+        beside = np.arcsin(np.sin(beside) * np.hypot(x, y).clip(0.0, 1.0))  # meridians meet at the poles
+    return np.maximum(np.maximum(above, beside), 0.0)
+
+
 class _Extents(NamedTuple):
     """What `BodyExtents` measures of n bodies.
 
@@ -509,6 +563,17 @@ class BodyExtents:
         weight = reception.greatest_gain(nearest, farthest) * reception.greatest_pattern(*sines)
         out[1:] = np.where(inside, angle * weight, 0.0) * self.greatest_backscatter(state)
         return out
+
+    def share_in_view(self, number: int, body, state: SceneState, pose, reception: Reception) -> float:
+        """Return what share of `greatest_echo` a body may return, since its specular lobe need not be seen face on.
+
+        number : of the body, from 1
+        """
+        lobe, greatest = self._columns.lobes[number - 1], self.greatest_backscatter(state)[number - 1]
+        if lobe <= 0.0 or greatest <= 0.0:
+            return 1.0
+        in_view = greatest_lobe(body, state.poses[number - 1], pose, reception)
+        return float((greatest - lobe + in_view) / greatest)
 
     def greatest_backscatter(self, state: SceneState) -> np.ndarray:
         """Return (bodies,) the most that each body may return per steradian: reflectivity, and lobe face on."""

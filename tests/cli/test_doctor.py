@@ -1,6 +1,7 @@
 """What `sonar-gl doctor` finds where all is well, and where something is missing."""
 
 import ctypes
+import json
 import os
 import re
 import sys
@@ -92,6 +93,19 @@ def test_process_without_a_package(tmp_path):
     assert "FAIL known scene not tried (no trimesh here)" in lines
     assert any(line.startswith("ok shaders ") for line in lines)
     assert lines[-1] == "8 of 23 failed"
+
+
+def test_process_in_which_numba_may_not_compile(tmp_path):
+    """The one cure is in the message; others, such as to install packages again, would not help."""
+    report, environment = tmp_path / "report.json", {"NUMBA_DISABLE_JIT": "1"}
+    done = python("-m", "sonar_gl", "doctor", "--report", str(report), environment=environment)
+    assert done.returncode == 1
+    why = "(NUMBA_DISABLE_JIT must be 0 or unset, since pings need compiled code (got 1; unset it))"
+    failed = [line.split() for line in done.stdout.splitlines()]
+    at = [k for k, words in enumerate(failed) if words[0] == "FAIL"]
+    assert len(at) == 7 and all(" ".join(failed[k]).endswith(f"not tried {why}") for k in at)
+    assert all(failed[k + 1][0] in ("ok", "FAIL", "7") for k in at)  # no cure below
+    assert why[1:-1] in json.loads(report.read_text())["failed"]
 
 
 def test_optional_packages_may_be_missing(monkeypatch):

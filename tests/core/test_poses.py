@@ -4,11 +4,13 @@ import warnings
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from sonar_gl.core import poses as module
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose, pose, pose_numbers, read_poses
+from sonar_gl.scene.scene import Body
 
 HEADER = "t,x,y,z,roll,pitch,yaw"
 
@@ -275,3 +277,19 @@ def test_quaternions_of_another_length_are_refused(message, length):
     assert text == (
         f"line 2: qx qy qz qw must be a unit quaternion (got 0 0 0 {length:g}, of length {length:.3g})"
     )
+
+
+def test_a_pose_in_float32_that_rounding_has_moved_is_warned_of_once():
+    """500 km from the origin, as in UTM, it lay up to 16 mm beside its place."""
+    far, near = pose(500_000.013, 4.0, -2.0), pose(60_000.0, 4.0, -2.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for one in far, near, near.astype(np.float32), far.tolist():
+            check_pose(one)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("default")
+        for number in range(3):
+            Body(f"b{number}", trimesh.creation.box((1, 1, 1)), far.astype(np.float32))
+    (one,) = found
+    assert str(one.message).startswith("poses in float32 round places 65536 m or more from the origin, by")
+    assert one.filename == __file__

@@ -19,7 +19,14 @@ from sonar_gl.engine.multipath import COARSEST, ImageSources
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.engine.visibility import BodyExtents, Reception, count_bodies, glint_share, is_unobstructed
+from sonar_gl.engine.visibility import (
+    BodyExtents,
+    Reception,
+    count_bodies,
+    glint_share,
+    greatest_lobe,
+    is_unobstructed,
+)
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
@@ -886,6 +893,31 @@ class TestBodiesThatSamplesMiss:
         error, share = self.body_error([wall, ball], acoustics=sg.Acoustics("ideal", specular=True))
         assert share > 1e-3 and error < self.LIMIT
 
+    def test_a_mirror_whose_glint_lies_beside_the_fan_asks_for_no_samples(self):
+        """It met the fan and returned nothing, and was searched for with the most samples that fit."""
+        acoustics, shapes = sg.Acoustics("ideal", specular=True), trimesh.creation
+        stone = sg.Body("ball", shapes.icosphere(4, 1.0), sg.pose(12, 3))
+        levels = []
+        for turned in None, {"yaw": 0.9}, {"pitch": 0.7}:
+            mirror = sg.Body(
+                "mirror", shapes.box((0.02, 3, 3)), sg.pose(8, **turned or {}), 0.0, None, 0.8, 0.05
+            )
+            bodies = [stone] if turned is None else [stone, mirror]
+            with sg.Simulator(sg.Scene(bodies), SONAR, acoustics, tolerance=0.05) as simulator:
+                plan = simulator.plan([np.eye(4)])
+            assert plan.met
+            levels.append(plan.level)
+        assert max(levels) <= levels[0] + 2
+
+    @pytest.mark.parametrize("yaw", [0.02, 0.2])
+    def test_the_narrow_glint_of_a_small_mirror_is_met(self, yaw):
+        """It fills a hundredth of the mirror, whose other samples return nothing."""
+        wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(18), "sand")
+        place = sg.pose(9 * math.cos(yaw), 9 * math.sin(yaw), yaw=yaw)
+        mirror = sg.Body("mirror", trimesh.creation.box((0.02, 0.8, 0.8)), place, 0.0, None, 0.5, 0.01)
+        error, share = self.body_error([wall, mirror], acoustics=sg.Acoustics("ideal", specular=True))
+        assert share > 1e-3 and error < self.LIMIT
+
     @pytest.mark.parametrize("seed", [3, 5])
     def test_a_body_with_a_fine_texture_has_enough_samples(self, seed):
         """A tenth of its faces return nearly all, each narrower than a sample: its outline alone does not tell."""
@@ -932,6 +964,30 @@ def test_reflectivity_that_is_the_bodies_own_asks_for_no_check(monkeypatch):
         for k in range(20):
             simulator.ping(sg.pose(), reflectivity={"b": 0.5} if k % 2 else None)
     assert checks == []
+
+
+def test_the_greatest_lobe_in_view_bounds_what_samples_return():
+    """Boxes at random places; where the glint is in view and met, the bound is close."""
+    acoustics, rng, met = sg.Acoustics("ideal", specular=True), np.random.default_rng(1), 0
+    for _ in range(30):
+        size, at = rng.uniform(0.1, 4, 3), (*rng.uniform((2, -5, -2), (15, 5, 2)), *rng.uniform(-0.6, 0.6, 3))
+        box = sg.Body("box", trimesh.creation.box(size), sg.pose(*at), 0.0, None, 0.8, 0.1)
+        with sg.Simulator(sg.Scene([box]), SONAR, acoustics, sg.Sampling(4, 200)) as simulator:
+            run = simulator.run
+            stage = run.sampler.resolution.stage
+            with run.drawing():
+                (view,) = stage.draw([np.eye(4)], [None])
+            reception = reception_of(stage.beamformer, SONAR, run.instrument.gain)
+        (samples,) = view.sectors
+        j, i = np.indices(samples.plane_echo.shape[:2])
+        u, v = (one[0] + one[1] * i + one[2] * j for one in (samples.sector.u, samples.sector.v))
+        is_received = samples.sector.holds_elevation(u, v) & (np.abs(np.arctan(u)) < np.radians(22.5))
+        echo = samples.plane_echo[..., 3] * samples.plane_echo[..., 0] / np.sqrt(1 + u * u + v * v)
+        greatest = echo[is_received].max(initial=0.0)
+        bound = greatest_lobe(box, box.pose, np.eye(4), reception)
+        assert greatest <= bound * (1 + 1e-4)
+        met += greatest > 0.9 * bound > 0
+    assert met >= 3
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Multipath: closed forms, brute-force ray casting, and the choice of planar reflectors."""
 
 import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.beamform import kernels
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import image_sampling, multipath, pipeline
 from sonar_gl.engine.replan_trigger import CHECK_EVERY
 from sonar_gl.raster.cull import MARGIN
@@ -21,6 +23,7 @@ from sonar_gl.scene.reflectors import (
     tabulate_reflection,
 )
 from sonar_gl.sonar.samples import SectorSamples
+from sonar_gl.sonar.sampling import ToleranceWarning
 from sonar_gl.sonar.sector import make_sector
 from tests.support.two_bounces import TwoBounces
 from tests.support.worlds import random_rotation
@@ -693,10 +696,12 @@ def test_the_estimate_says_that_a_body_that_echoes_by_way_of_the_surface_alone_h
     sonar = sg.Sonar("test", 900e3, 128, 400, 60.0, 20.0, 60 / 128, 0.5, 20.0)
     scene = sg.Scene([ball(x, y, -1.5, radius_m)], surface_z_m=0.0)
     pose = sg.pose(0, 0, -2.5, 0, -np.arctan(4.0 / x), 0)
-    with sg.Simulator(scene, sonar, MULTIPATH, tolerance=0.05) as simulator:
+    warns = pytest.warns(ToleranceWarning, match="the estimate is")
+    with sg.Simulator(scene, sonar, MULTIPATH, tolerance=0.05) as simulator, warns as warned:
         found = simulator.ping(pose)
         for ping in simulator.pings([pose, pose]):
             assert ping.error_estimate == found.error_estimate
+    assert len(warned) == 1
     with sg.Simulator(scene, sonar, MULTIPATH, sg.Sampling(60 / 128 / 0.05, 400)) as simulator:
         truth = simulator.ping(pose).intensity
     error = np.abs(found.intensity - truth).sum() / truth.sum()
@@ -736,6 +741,48 @@ def test_the_tolerance_covers_the_multipath_of_large_faces(name, yaw):
     sonar = replace(sg.load_sonar(name), range_max_m=12.0)
     error, estimate = error_of_ping(scene, pose, sonar, sg.Acoustics.physical(multipath="incoherent"))
     assert error < estimate <= 0.01
+
+
+@pytest.mark.slow
+def test_multipath_that_breaks_the_tolerance_is_warned_of_once_until_it_keeps_it():
+    """With four times as many samples as of the direct echo, or those that fit; the estimate alone said so."""
+    scene, acoustics = wall_below_a_calm_surface(-0.6), sg.Acoustics.physical(multipath="incoherent")
+    sonar, pose = replace(sg.load_sonar("oculus-m750d-lf"), range_max_m=12.0), sg.pose(0, 0, -1.0)
+    away = sg.pose(500, 0, -1.0)
+    with sg.Simulator(scene, sonar, acoustics, tolerance=0.003) as simulator:
+        with pytest.warns(ToleranceWarning, match="by way of planar reflectors, the estimate is") as warned:
+            pings = [simulator.ping(pose), simulator.ping(pose), *simulator.pings([pose, pose])]
+        assert len(warned) == 1
+        assert simulator.run.sampler.plan.met and min(ping.error_estimate for ping in pings) > 0.003
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that nothing comes back
+            simulator.ping(away)
+        with pytest.warns(ToleranceWarning):
+            simulator.ping(pose)
+
+
+@pytest.mark.parametrize("fit", [1, 2])
+def test_multipath_whose_finer_samples_are_not_drawn_is_warned_of(monkeypatch, fit):
+    """Where warnings are errors, each ping raises one."""
+    draw = pipeline.draw_images
+
+    def limited(sources, resolution, *more):
+        if resolution.halvings < fit:
+            raise SampleLimitError("too many")
+        return draw(sources, resolution, *more)
+
+    monkeypatch.setattr(pipeline, "draw_images", limited)
+    scene, pose = wall_below_a_calm_surface(-0.6), sg.pose(0, 0, -1.0)
+    sonar = replace(sg.load_sonar("aris-1800-lf"), range_max_m=12.0)
+    settings = scene, sonar, sg.Acoustics.physical(multipath="incoherent")
+    with sg.Simulator(*settings, tolerance=0.01) as simulator, warnings.catch_warnings():
+        warnings.simplefilter("error", ToleranceWarning)
+        for _ in range(2):
+            with pytest.raises(ToleranceWarning):
+                simulator.ping(pose)
+    with sg.Simulator(*settings, tolerance=0.01) as simulator, pytest.warns(ToleranceWarning) as warned:
+        assert [simulator.ping(pose).error_estimate > 0.01 for _ in range(3)] == [True] * 3
+    assert len(warned) == 1
 
 
 @pytest.mark.slow

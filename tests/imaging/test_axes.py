@@ -112,7 +112,14 @@ def test_labels_of_spokes_are_positive_to_port_and_counts_rise_along_the_bar(mon
 
 
 def test_spokes_are_labelled_on_both_sides_or_neither(monkeypatch):
-    """Labels of arcs beside the starboard edge may take the place of one."""
+    """Labels of arcs beside the starboard edge may take the place of one; whether by one picture depends on letters."""
+
+    def size_of(
+        text, _font, size, _width
+    ):  # about those of OpenCV 5; among the wider ones of 4 no label is in the way
+        return (round(17 * size * len(text)), round(27 * size)), 1
+
+    monkeypatch.setattr(axes.cv2, "getTextSize", size_of)
     hidden = 0
     for fov_deg in range(8, 360, 9):
         ping = fan_ping(fov_deg, range_m=(0.5, 30.0))
@@ -243,13 +250,14 @@ def arc_labels(monkeypatch):
 
 
 @pytest.mark.parametrize("range_m", [0.3, 30.0, 900.0])
-@pytest.mark.parametrize("height", [1, 60, 200])
+@pytest.mark.parametrize("height", [1, 75, 200])
 @pytest.mark.parametrize("fov_deg", [5, 90, 130, 180, 360])
 def test_labels_of_arcs_do_not_overlap(monkeypatch, fov_deg, height, range_m):
+    """The wide letters of OpenCV 4 need 75 pixels for one."""
     boxes = arc_labels(monkeypatch)
     ping = fan_ping(fov_deg, range_m=(0.0, range_m))
     draw_axes(colorize(fan_image(ping, height)), ping)
-    assert boxes or height < 60
+    assert boxes or height < 75
     for one, (left, right, top, bottom) in enumerate(boxes):
         for other in boxes[:one]:
             assert right <= other[0] or other[1] <= left or bottom <= other[2] or other[3] <= top
