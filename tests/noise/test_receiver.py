@@ -81,7 +81,7 @@ def test_noise_is_received_one_way_and_echo_two_ways():
 
 
 def test_a_bandwidth_that_is_not_stated_follows_from_the_bins_for_levels_too():
-    """A resolution cell of c/2B (1 + 2 (0.23/0.54)²) of Hamming's taper is as long as a bin; the speed is the water's."""
+    """A resolution cell, c/2B (1 + 2 (0.23/0.54)²) of Hamming's taper, is as long as a bin at the water's speed."""
     acoustics = replace(Acoustics.ideal(), water=Water(sound_speed_m_s=1450.0))
     cell_m = (30.0 - 0.5) / 100
     expected_hz = 1450.0 / (2 * cell_m) * (1 + 2 * (0.23 / 0.54) ** 2)
@@ -318,3 +318,12 @@ def test_an_interfering_pulse_has_the_power_pattern_of_the_beams(
     off = np.minimum(off, 360 - off) / (width_deg or fov_deg / 221)
     pattern = np.maximum(field(2 * half_power * off) ** 2, 10**-3.5)
     np.testing.assert_allclose(intensity[:, 5:11], np.outer(pattern, power[5:11]), rtol=1e-5)  # float32
+
+
+@pytest.mark.parametrize("width_rad", [math.radians(2.0), None], ids=["of 2 degrees", "unknown"])
+def test_an_interfering_pulse_shorter_than_a_bin_fills_one_bin_also_of_a_single_beam(width_rad):
+    """75 mm, of bins of half a metre; the beam lies in its direction, however wide it is."""
+    intensity, power = np.zeros((1, 20), np.float32), np.arange(1.0, 21.0)
+    beam = FieldCorrelation((0.3,), width_rad, ())
+    add_interference(intensity, 1.0, power, beam, 0.5, 1500.0, OnePulse())
+    assert intensity[0].tolist() == [6.0 if k == 5 else 0.0 for k in range(20)]

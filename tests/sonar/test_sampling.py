@@ -75,7 +75,9 @@ def test_four_levels_halve_the_width_of_samples():
     """Level 0 has samples a degree wide; here no bound on columns counts, nor one on the height of rows."""
     sonar = sg.load_sonar("p900-45")
     for level in (0, 4, 8, 20):
-        assert sampling_at(sonar, level).columns_per_beam * sonar.n_beams == pytest.approx(45 * 2 ** (level / 4))
+        assert sampling_at(sonar, level).columns_per_beam * sonar.n_beams == pytest.approx(
+            45 * 2 ** (level / 4)
+        )
     per_deg = math.degrees(2 * math.tan(math.radians(sonar.elevation_fov_deg) / 2))
     assert sampling_at(sonar, 20).rows == math.ceil(32 * per_deg)
 
