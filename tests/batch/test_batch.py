@@ -382,6 +382,48 @@ def test_what_moves_apart_moves_as_whole_models(tmp_path):
         assert (a is None) == (b is None) and mu == b_mu
 
 
+def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_path):
+    """A box that lies rolled and turned at another place: its position has the shift added, its axes the turn."""
+    path = write_job(tmp_path, 2, "")
+    scene = tmp_path / "tank.sdf"
+    scene.write_text(
+        scene.read_text().replace("<pose>3 0.3 -0.3 0 0 0</pose>", "<pose>3 1 -2 0.4 0.3 1.1</pose>")
+    )
+    shift, turn = (
+        {"x_m": 0.5, "y_m": -0.25, "z_m": 0.125},
+        {"roll_rad": 0.1, "pitch_rad": -0.2, "yaw_rad": 0.7},
+    )
+    job = Job(**read_job(path).plain | {"vary": {"bodies": [{"names": ["box_1"], **shift, **turn}]}})
+    requests = BatchRequests(job)
+    placed = requests.bodies_and_plumes(0)["box_1"].pose
+    np.testing.assert_allclose(placed, sg.pose(3, 1, -2, 0.4, 0.3, 1.1), atol=1e-12)
+    expected = placed @ sg.pose(0, 0, 0, *turn.values())
+    expected[:3, 3] = [3.5, 0.75, -1.875]
+    for request in requests:
+        np.testing.assert_allclose(request.bodies["box_1"], expected, atol=1e-12)
+
+
+def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(tmp_path):
+    """Along a file that begins at 100 s, in two scenes, and then along a sector."""
+    path = write_job(tmp_path, 2, "")
+    (tmp_path / "other.sdf").write_text((tmp_path / "tank.sdf").read_text())
+    (tmp_path / "dive.csv").write_text("t,x,y,z,roll,pitch,yaw\n100,0,0,0,0,0,0\n100.5,1,0,0,0,0,0\n")
+    plain = read_job(path).plain
+    poses = [{"kind": "trajectory", "file": "dive.csv"}, *plain["poses"]]
+    requests = BatchRequests(
+        read_job(path).model_copy(update={"poses": poses, "scenes": ["tank.sdf", "other.sdf"]})
+    )
+    times = [100.0, 100.5, 101.5, 102.0, 103.0, 103.2, 104.2, 104.4]
+    assert [request.time_s for request in requests] == pytest.approx(times, abs=1e-9)
+    assert [request.scene for request in requests] == [0, 0, 1, 1] * 2
+
+
+def test_each_sonar_has_noise_of_its_own_and_each_ping_other_draws(requests):
+    assert len({requests.noise_seed(name) for name in requests.sonars}) == 2
+    many = BatchRequests(requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"n_pings": 40}]}))
+    assert len({request.water.temperature_c for request in many}) == 40
+
+
 def test_of_two_tables_that_name_a_body_the_later_one_counts(tmp_path):
     """As a whole, also where it changes nothing: "*" moves, and `floor` after it stays."""
     path = write_job(tmp_path, 40, "")
