@@ -1,5 +1,6 @@
 """Batches: the requests of a job, the files of its pings, and that users' tools read them."""
 
+import errno
 import json
 import math
 import re
@@ -653,6 +654,26 @@ def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, mon
     expected = xr.open_dataset(small / "out" / "pings.zarr", group="level").intensity
     assert (made[5] == 0).all()
     assert np.array_equal(made[[4, 6, 7]], expected[[4, 6, 7]])
+
+
+@pytest.mark.parametrize(
+    "failure", [OSError(errno.ENOSPC, "No space left on device"), MemoryError()], ids=repr
+)
+def test_what_the_machine_lacks_sets_no_ping_aside(small, tmp_path, monkeypatch, failure):
+    """The part is made again where there is space; a ping that is set aside is lost. So also of pings made alone."""
+
+    def failing(*_):
+        raise failure
+
+    batch = open_batch(small / "job.toml", tmp_path / "out")
+    Manifest.load(Folder(small / "out")).save(batch.folder)
+    create_store(batch)
+    monkeypatch.setattr(Run, "resolve", failing)
+    for one_by_one in (False, True):
+        with pytest.raises(type(failure)):
+            make_part(batch, 1, one_by_one=one_by_one)
+    batch.close()
+    assert not list((tmp_path / "out").glob("parts/*"))
 
 
 def test_a_part_without_a_single_ping_ends_the_batch(small, tmp_path, monkeypatch):
