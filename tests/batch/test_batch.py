@@ -419,6 +419,26 @@ def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(t
     assert [request.scene for request in requests] == [0, 0, 1, 1] * 2
 
 
+def test_sonars_have_the_mounts_ranges_and_bins_of_the_job(tmp_path):
+    """Of 80 bins from 0.5 to 8.5 m: another range keeps their length, unless their number is given, too."""
+    path = write_job(tmp_path, 2, "")
+    tables = [
+        {"name": "plain", "sonar": "small.toml", "mount": [0.1, -0.2, 0.3, 0.4, -0.5, 0.6]},
+        {"name": "near", "sonar": "small.toml", "range_m": 6.5},
+        {"name": "fine", "sonar": "small.toml", "bins": 160},
+        {"name": "both", "sonar": "small.toml", "range_m": 6.5, "bins": 30},
+    ]
+    requests = BatchRequests(Job(**read_job(path).plain | {"sonars": tables}))
+    np.testing.assert_array_equal(requests.mounts["plain"], sg.pose(0.1, -0.2, 0.3, 0.4, -0.5, 0.6))
+    assert all((requests.mounts[name] == np.eye(4)).all() for name in ("near", "fine", "both"))
+    found = {name: (sonar.range_max_m, sonar.n_bins) for name, sonar in requests.sonars.items()}
+    assert found == {"plain": (8.5, 80), "near": (6.5, 60), "fine": (8.5, 160), "both": (6.5, 30)}
+    vehicle, request = requests[1].vehicle_pose, requests[1]
+    np.testing.assert_array_equal(
+        request.for_sonar(requests.mounts["plain"]).pose, vehicle @ requests.mounts["plain"]
+    )
+
+
 def test_each_sonar_has_noise_of_its_own_and_each_ping_other_draws(requests):
     assert len({requests.noise_seed(name) for name in requests.sonars}) == 2
     many = BatchRequests(requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"n_pings": 40}]}))
@@ -654,6 +674,27 @@ def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, mon
     expected = xr.open_dataset(small / "out" / "pings.zarr", group="level").intensity
     assert (made[5] == 0).all()
     assert np.array_equal(made[[4, 6, 7]], expected[[4, 6, 7]])
+
+
+def test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in(tmp_path):
+    """Of four: both sonars see the wall, only the one of longer range does, none does, and one that is set aside."""
+    path = write_job(tmp_path, 2, "")
+    rows = "0,0,0,0,0,0,0", "1,-2.5,0,0,0,0,0", "2,0,0,50,0,0,0", "3,0,0,50,0,0,0"
+    (tmp_path / "dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
+    changes = {"poses": [{"kind": "trajectory", "file": "dive.csv"}], "only": ["wall"], "vary": {}}
+    changes["noise"] = {"preset": "none"}
+    batch = Batch(Job(**read_job(path).plain | changes), Folder(tmp_path / "out"))
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    record = make_part(batch, 0, {3: "it kills"})
+    batch.close()
+    made = {
+        name: xr.open_zarr(tmp_path / "out" / "pings.zarr", group=name, consolidated=False).intensity
+        for name in batch.requests.sonars
+    }
+    seen = {name: (values > 0).any(("beam", "range")).values.tolist() for name, values in made.items()}
+    assert seen == {"level": [True, True, False, False], "upright": [True, False, False, False]}
+    assert record.without_echo == 1 and record.set_aside == {"3": "it kills"}
 
 
 @pytest.mark.parametrize(
