@@ -501,6 +501,21 @@ def test_the_nearest_surface_lies_at_the_range_that_the_sonar_shows():
         ]
 
 
+@pytest.mark.parametrize("side", [1, -1])
+def test_of_surfaces_in_several_sectors_the_nearest_is_named(side):
+    """Two that return nothing, to either side of a wide fan, each before the middle of a sector."""
+    sonar = replace(SONAR, azimuth_fov_deg=130.0)
+    silent = [
+        sg.Body(name, trimesh.creation.box((1, 1, 1)), sg.pose(yaw=yaw) @ sg.pose(x + 0.5), 0.0)
+        for name, x, yaw in (("near", 4, 0.8 * side), ("far", 7, -0.8 * side))
+    ]
+    with simulator(silent, sonar=sonar) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose())
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: the nearest surface in the fan lies at 4.00 m; its reflectivity is 0, or it is seen edge-on"
+    ]
+
+
 @pytest.mark.parametrize("order", [1, -1])
 @pytest.mark.parametrize("pose", [sg.pose(), sg.pose(0, 0, -300.0)])
 def test_of_several_bodies_the_nearest_that_is_there_is_named(order, pose):
