@@ -1530,8 +1530,8 @@ MUTATIONS = (
     ),
     Mutation(
         "empty pings/range that the sonar shows",
-        "range_m = true_range_m * sonar.range_max_m / true_range.range_max_m",
-        "range_m = true_range_m",
+        "return true_range_m * sonar.range_max_m / true_range.range_max_m",
+        "return true_range_m",
         EMPTY_PINGS,
     ),
     Mutation(

@@ -501,6 +501,18 @@ def test_the_nearest_surface_lies_at_the_range_that_the_sonar_shows():
         ]
 
 
+def test_a_surface_too_far_to_be_drawn_lies_at_the_range_that_the_sonar_shows_too():
+    wall = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(400.5), 1.0)
+    fast = replace(
+        sg.Acoustics.ideal(), water=sg.Water(sound_speed_m_s=1450.0), sonar_sound_speed_m_s=1.1 * 1450.0
+    )
+    with simulator([wall], acoustics=fast) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose())
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: the nearest surface in the fan lies at 440.00 m, beyond range_max_m = 20"
+    ]
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_of_surfaces_in_several_sectors_the_nearest_is_named(side):
     """Two that return nothing, to either side of a wide fan, each before the middle of a sector."""
