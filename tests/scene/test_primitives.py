@@ -302,8 +302,13 @@ def test_scene_graph_is_flattened_and_submeshes_are_found(tmp_path):
 
 
 def test_a_centred_mesh_has_the_middle_of_its_box_at_the_origin_whatever_vertices_no_face_uses(tmp_path):
-    (tmp_path / "a.obj").write_text("v 1 1 1\nv 3 1 1\nv 1 5 1\nv 1 4 1\nv 50 60 70\nf 1 2 3\nf 1 2 4\n")
-    mesh, _ = mesh_files.read_mesh(tmp_path / "a.obj", center=True)
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+        "1 1 1\n3 1 1\n1 5 1\n1 4 1\n50 60 70\n3 0 1 2\n3 0 1 3\n"
+    )
+    mesh, _ = mesh_files.read_mesh(tmp_path / "a.ply", center=True)
+    assert len(mesh.vertices) == 5
     used = mesh.vertices[np.unique(mesh.faces)]
     np.testing.assert_allclose([used.min(axis=0), used.max(axis=0)], [[-1, -2, 0], [1, 2, 0]], atol=1e-12)
 

@@ -137,13 +137,12 @@ def test_the_largest_width_of_columns_is_a_parameter():
 
 
 def test_columns_of_a_table_are_half_its_least_spacing_wide_at_most():
-    """Beams half a degree apart, as others are 44 degrees apart; samples would be wider."""
-    sonar = SONARS["table"]
+    """Beams half a degree apart, as others are 43 degrees apart; samples, and parts of a beam, would be wider."""
+    sonar = make_sonar(90.0, 5, 6.0, beam_azimuths_deg=(-40.0, -11.0, 0.5, 1.0, 44.0))
     support_rad = Acoustics.physical().receive_support_rad(sonar)
     fan = make_fan(sonar, sg.Sampling(0.25, 16), BeamShape(support_rad, is_box=False))
     widest_rad = np.diff(fan.column_edges_rad).max()
-    assert widest_rad <= math.radians(0.5) / 2 * (1 + 1e-9)
-    assert widest_rad > math.radians(0.5) / 4  # and no column is needlessly narrow
+    assert math.radians(0.49) / 2 < widest_rad <= math.radians(0.5) / 2 * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("width_deg", [8.0, 30.0])
@@ -199,6 +198,17 @@ def test_side_lobes_have_wider_and_higher_samples_from_one_sector_to_the_next():
             assert wanted - 1e-6 <= found < wanted + 1 - 1e-6  # the whole number from there on
     last = math.atan(above[-1].tan_high) - math.atan(above[-1].tan_low)
     assert last >= math.radians(1.0) and math.degrees(math.atan(above[-1].tan_high)) == pytest.approx(89.5)
+
+
+@pytest.mark.parametrize(("max_deg", "n_bands"), [(86.0, 3), (87.0, 3), (87.5, 4)])
+def test_no_sector_of_side_lobes_is_lower_than_a_degree(max_deg, n_bands):
+    """A third one ends at 86.27 degrees, or goes on to the limit if less than a degree would be left."""
+    beams = BeamShape(math.radians(0.5), max_elevation_deg=max_deg)
+    fan = make_fan(make_sonar(20.0, 90, elevation_fov_deg=54.0), sg.Sampling(2, 20), beams)
+    above = [one for one in fan.sectors if one.tan_low > 0]
+    heights = [math.atan(one.tan_high) - math.atan(one.tan_low) for one in above]
+    assert len(above) == n_bands and min(heights) >= math.radians(1.0)
+    assert max(math.atan(one.tan_high) for one in above) == pytest.approx(math.radians(max_deg), rel=1e-12)
 
 
 def test_sectors_of_side_lobes_have_16_rows_at_least():
