@@ -327,7 +327,8 @@ def test_pixels_without_depth_are_empty(missing):
             )
         # Pixels of a far plane are empty, too, and do not bend the estimated planes of pixels before it.
         assert (pings[-1].intensity == with_inf.intensity).all()
-    assert pings[1].intensity.sum() == pytest.approx(pings[0].intensity.sum(), rel=0.02)
+    # they are those of the faces, but for some pixels at edges and of the sphere, whose errors cancel to 2e-5
+    assert pings[1].intensity.sum() == pytest.approx(pings[0].intensity.sum(), rel=2e-4)
 
 
 @pytest.mark.parametrize("columns", [400, *(pytest.param(n, marks=pytest.mark.slow) for n in (800, 1600))])
