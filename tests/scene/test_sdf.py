@@ -704,6 +704,17 @@ def test_the_plane_of_a_visual_is_as_large_as_stated_or_a_square_metre(read, siz
     np.testing.assert_allclose(body.surface.vertices.max(axis=0), [*half, 0], atol=ROUNDING)
 
 
+@pytest.mark.parametrize(
+    ("points", "count"), [(["0 0", "1 0"], 2), (["0 0", "1 0", "1 0", "0 0"], 2), (["1 2"] * 5, 0)]
+)
+def test_a_polyline_of_fewer_than_three_different_points_is_refused(read, points, count):
+    """Points that follow one another in one place count once; the last one is followed by the first."""
+    line = "".join(f"<point>{point}</point>" for point in points)
+    polyline = shape(RETRO, geometry=f"<geometry><polyline>{line}</polyline></geometry>")
+    with pytest.raises(Error, match=rf"polyline: must have three different points or more \(got {count}\)$"):
+        read(model(link(shape=polyline)))
+
+
 def test_polylines_within_others_are_holes(read):
     """A square ring of area 16 − 4 with a square of 0.25 in its hole, and a triangle beside it; the senses differ."""
     rings = (
