@@ -705,6 +705,19 @@ def test_the_plane_of_a_visual_is_as_large_as_stated_or_a_square_metre(read, siz
 
 
 @pytest.mark.parametrize(
+    ("specular", "n_bodies"), [("", 1), ("<sonar_gl:specular>0.2</sonar_gl:specular>", 2)]
+)
+def test_the_roughness_of_shapes_without_a_lobe_divides_no_link(read, specular, n_bodies):
+    """Only the width of a lobe would differ."""
+    shapes = "".join(
+        f"<collision name='c{k}'><geometry><box/></geometry>{RETRO}{specular}"
+        f"<sonar_gl:roughness>{roughness}</sonar_gl:roughness></collision>"
+        for k, roughness in enumerate((0.1, 0.2))
+    )
+    assert len(read(model(link(shape=shapes))).bodies) == n_bodies
+
+
+@pytest.mark.parametrize(
     ("points", "count"), [(["0 0", "1 0"], 2), (["0 0", "1 0", "1 0", "0 0"], 2), (["1 2"] * 5, 0)]
 )
 def test_a_polyline_of_fewer_than_three_different_points_is_refused(read, points, count):
