@@ -81,6 +81,7 @@ GUARD = ("test_state_guard", "test_modes")
 COUNTS = ("test_counts",)
 POSES, FAN = ("test_poses",), ("test_fan_image",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
+SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("test_batch",), ("test_simulator",)
 REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
 SEEN_ROD = "test_adaptive::test_a_thin_body_that_no_sample_met_is_seen_between_its_vertices"
@@ -1439,6 +1440,141 @@ MUTATIONS = (
         "simulation.submit(head.ping, sonar, acoustics, time_s=0.0, number=0).result()",
         "",
         ("test_emulate",),
+    ),
+    Mutation(
+        "samples/levels that halve their width",
+        "COARSEST_DEG * 2 ** (-level / LEVELS_PER_HALF)",
+        "COARSEST_DEG * 2 ** (-level / 3)",
+        SAMPLING,
+    ),
+    Mutation(
+        "samples/level for a tolerance",
+        "(0.02 / tolerance) ** (1 / ERROR_RATE)",
+        "(0.02 / tolerance) ** ERROR_RATE",
+        SAMPLING,
+    ),
+    Mutation(
+        "fan/columns of a transmit beam",
+        "beams.transmit_width_rad / COLUMNS_PER_TRANSMIT_BEAM",
+        "beams.transmit_width_rad",
+        ("test_fan",),
+    ),
+    Mutation(
+        "fan/columns of a table",
+        "spacing = np.diff(axes_rad).min(initial=span)",
+        "spacing = np.diff(axes_rad).max(initial=0)",
+        ("test_fan",),
+    ),
+    Mutation(
+        "fan/samples of further side lobes",
+        "coarser = SKIRTS_COARSER * 2**number",
+        "coarser = SKIRTS_COARSER",
+        ("test_fan",),
+    ),
+    Mutation(
+        "noise/bandwidth of levels",
+        "bandwidth_hz = acoustics.pulse_response(sonar).bandwidth_hz",
+        "bandwidth_hz = sonar.bandwidth_hz",
+        ("test_receiver",),
+    ),
+    Mutation(
+        "noise/pulse shorter than a bin",
+        "max(1, round(PULSE_S * sound_speed_m_s / 2 / bin_size_m))",
+        "round(PULSE_S * sound_speed_m_s / 2 / bin_size_m)",
+        ("test_receiver",),
+    ),
+    Mutation(
+        "noise/loud ring-down",
+        "power *= acoustics.tvg(r, sonar) return np.minimum(power, MAX_POWER)",
+        "power *= acoustics.tvg(r, sonar)\n    return power",
+        ("test_receiver",),
+    ),
+    Mutation(
+        "noise/pulse in true metres",
+        "sound_speed_m_s=pulse.sound_speed_m_s / scale",
+        "sound_speed_m_s=pulse.sound_speed_m_s",
+        ("test_place_locked_speckle",),
+    ),
+    Mutation(
+        "batch/axes of a shift", "move[:3, 3] += shift", "move[:3, 3] += pivot[:3, :3] @ shift", REQUESTS
+    ),
+    Mutation(
+        "batch/times of runs",
+        "delay_s = last_s + GAP_S - trajectory[0][0]",
+        "delay_s = last_s + GAP_S",
+        REQUESTS,
+    ),
+    Mutation(
+        "batch/mount of a sonar",
+        "mounts[name] = sonar, make_pose(*table.mount)",
+        "mounts[name] = sonar, make_pose(*table.mount[:3])",
+        REQUESTS,
+    ),
+    Mutation(
+        "batch/bins of a range",
+        "return sonar.with_range(table.range_m, table.bins)",
+        "return sonar.with_range(table.range_m)",
+        REQUESTS,
+    ),
+    Mutation(
+        "batch/pings without an echo",
+        "~np.any(has_echo, axis=0)",
+        "~np.all(has_echo, axis=0)",
+        ("test_batch::test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in",),
+    ),
+    Mutation(
+        "batch/space on the disk",
+        "if isinstance(why, OSError) or is_out_of_memory(why): raise kind",
+        "if is_out_of_memory(why):\n                    raise\n                kind",
+        ("test_batch::test_what_the_machine_lacks_sets_no_ping_aside",),
+    ),
+    Mutation(
+        "empty pings/range that the sonar shows",
+        "return true_range_m * sonar.range_max_m / true_range.range_max_m",
+        "return true_range_m",
+        EMPTY_PINGS,
+    ),
+    Mutation(
+        "empty pings/depth of the sonar",
+        "up * (surface_z_m - SURFACE_MARGIN_M - pose[2, 3])",
+        "up * (surface_z_m - SURFACE_MARGIN_M)",
+        EMPTY_PINGS,
+    ),
+    Mutation(
+        "planner/error by the number of samples",
+        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75",
+        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 0.9, 0.75",
+        ("test_adaptive",),
+    ),
+    Mutation(
+        "planner/greatest gain in a span",
+        "np.stack([first, last + 1], axis=1)",
+        "np.stack([first, last], axis=1)",
+        ("test_adaptive",),
+    ),
+    Mutation(
+        "reflectivity/mean over a face",
+        "SPLITS_OF_MEAN = 4",
+        "SPLITS_OF_MEAN = 1",
+        ("test_reflectivity_map",),
+    ),
+    Mutation(
+        "live/sector of a scan",
+        "sector = self.start, self.stop, self.step, round(1e3 * self.delay_s)",
+        "sector = self.stop, self.start, self.step, round(1e3 * self.delay_s)",
+        ("test_ping360",),
+    ),
+    Mutation(
+        "live/range of a sample",
+        "settings.n_samples * settings.sample_time_s * speed_m_s / 2",
+        "settings.n_samples * settings.sample_time_s * speed_m_s",
+        ("test_ping360",),
+    ),
+    Mutation(
+        "live/speed of sound that a program sets",
+        "acoustics = replace(acoustics, sonar_sound_speed_m_s=fire.sound_speed_m_s)",
+        "pass",
+        ("test_oculus",),
     ),
     Mutation("live/rate after a pause", "pinged_s[0] < from_s or", "", ("test_session",)),
     Mutation(

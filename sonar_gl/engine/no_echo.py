@@ -32,9 +32,10 @@ def why_no_echo(
     inside = _nearest_in_view(samples)
     if inside is not None:
         return _why_nearest_has_no_echo(sonar, true_range, *inside) + _scale_hint(scene)
-    beyond_m = _nearest_beyond(scene, state, pose, sonar, top_deg)
+    beyond_m = _nearest_beyond(scene, state, pose, true_range, top_deg)
     if beyond_m is not None:
-        nearest = f"the nearest surface in the fan lies at {_length(beyond_m)}"
+        shown_m = _shown_m(beyond_m, sonar, true_range)
+        nearest = f"the nearest surface in the fan lies at {_length(shown_m)}"
         reason = f"no echo came back: {nearest}, beyond range_max_m = {sonar.range_max_m:g}"
         return reason + _scale_hint(scene)
     nearest = _nearest_body(scene, state, pose)
@@ -55,6 +56,11 @@ def why_no_echo(
     )
 
 
+def _shown_m(true_range_m: float, sonar: Sonar, true_range: Sonar) -> float:
+    """Return the range at which a sonar shows what lies at a true range; its bins are those of `true_range`."""
+    return true_range_m * sonar.range_max_m / true_range.range_max_m
+
+
 def _length(length_m: float) -> str:
     return f"{length_m:.2f} m" if length_m < 1000 else f"{length_m / 1000:.2f} km"
 
@@ -72,7 +78,7 @@ def why_view_has_no_echo(sonar: Sonar, true_range: Sonar, samples: Sequence[Sect
 
 
 def _why_nearest_has_no_echo(sonar: Sonar, true_range: Sonar, true_range_m: float, echo: float) -> str:
-    range_m = true_range_m * sonar.range_max_m / true_range.range_max_m
+    range_m = _shown_m(true_range_m, sonar, true_range)
     nearest = f"the nearest surface in the fan lies at {_length(range_m)}"
     if range_m >= sonar.range_max_m:
         return f"no echo came back: {nearest}, beyond range_max_m = {sonar.range_max_m:g}"
@@ -102,6 +108,8 @@ def _nearest_beyond(scene: Scene, state: SceneState, pose, sonar: Sonar, top_deg
     """Return the range of the nearest surface in the fan that is too far to be drawn, metres; None if there is none.
 
     The fan is cut into wedges between four planes, which the bodies are cut by.
+
+    sonar : with true ranges, as the range is
     """
     from trimesh.intersections import slice_faces_plane
     from trimesh.triangles import closest_point

@@ -1,5 +1,6 @@
 """Batches: the requests of a job, the files of its pings, and that users' tools read them."""
 
+import errno
 import json
 import math
 import re
@@ -382,6 +383,68 @@ def test_what_moves_apart_moves_as_whole_models(tmp_path):
         assert (a is None) == (b is None) and mu == b_mu
 
 
+def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_path):
+    """A box that lies rolled and turned at another place: its position has the shift added, its axes the turn."""
+    path = write_job(tmp_path, 2, "")
+    scene = tmp_path / "tank.sdf"
+    scene.write_text(
+        scene.read_text().replace("<pose>3 0.3 -0.3 0 0 0</pose>", "<pose>3 1 -2 0.4 0.3 1.1</pose>")
+    )
+    shift, turn = (
+        {"x_m": 0.5, "y_m": -0.25, "z_m": 0.125},
+        {"roll_rad": 0.1, "pitch_rad": -0.2, "yaw_rad": 0.7},
+    )
+    job = Job(**read_job(path).plain | {"vary": {"bodies": [{"names": ["box_1"], **shift, **turn}]}})
+    requests = BatchRequests(job)
+    placed = requests.bodies_and_plumes(0)["box_1"].pose
+    np.testing.assert_allclose(placed, sg.pose(3, 1, -2, 0.4, 0.3, 1.1), atol=1e-12)
+    expected = placed @ sg.pose(0, 0, 0, *turn.values())
+    expected[:3, 3] = [3.5, 0.75, -1.875]
+    for request in requests:
+        np.testing.assert_allclose(request.bodies["box_1"], expected, atol=1e-12)
+
+
+def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(tmp_path):
+    """Along a file that begins at 100 s, in two scenes, and then along a sector."""
+    path = write_job(tmp_path, 2, "")
+    (tmp_path / "other.sdf").write_text((tmp_path / "tank.sdf").read_text())
+    (tmp_path / "dive.csv").write_text("t,x,y,z,roll,pitch,yaw\n100,0,0,0,0,0,0\n100.5,1,0,0,0,0,0\n")
+    plain = read_job(path).plain
+    poses = [{"kind": "trajectory", "file": "dive.csv"}, *plain["poses"]]
+    requests = BatchRequests(
+        read_job(path).model_copy(update={"poses": poses, "scenes": ["tank.sdf", "other.sdf"]})
+    )
+    times = [100.0, 100.5, 101.5, 102.0, 103.0, 103.2, 104.2, 104.4]
+    assert [request.time_s for request in requests] == pytest.approx(times, abs=1e-9)
+    assert [request.scene for request in requests] == [0, 0, 1, 1] * 2
+
+
+def test_sonars_have_the_mounts_ranges_and_bins_of_the_job(tmp_path):
+    """Of 80 bins from 0.5 to 8.5 m: another range keeps their length, unless their number is given, too."""
+    path = write_job(tmp_path, 2, "")
+    tables = [
+        {"name": "plain", "sonar": "small.toml", "mount": [0.1, -0.2, 0.3, 0.4, -0.5, 0.6]},
+        {"name": "near", "sonar": "small.toml", "range_m": 6.5},
+        {"name": "fine", "sonar": "small.toml", "bins": 160},
+        {"name": "both", "sonar": "small.toml", "range_m": 6.5, "bins": 30},
+    ]
+    requests = BatchRequests(Job(**read_job(path).plain | {"sonars": tables}))
+    np.testing.assert_array_equal(requests.mounts["plain"], sg.pose(0.1, -0.2, 0.3, 0.4, -0.5, 0.6))
+    assert all((requests.mounts[name] == np.eye(4)).all() for name in ("near", "fine", "both"))
+    found = {name: (sonar.range_max_m, sonar.n_bins) for name, sonar in requests.sonars.items()}
+    assert found == {"plain": (8.5, 80), "near": (6.5, 60), "fine": (8.5, 160), "both": (6.5, 30)}
+    vehicle, request = requests[1].vehicle_pose, requests[1]
+    np.testing.assert_array_equal(
+        request.for_sonar(requests.mounts["plain"]).pose, vehicle @ requests.mounts["plain"]
+    )
+
+
+def test_each_sonar_has_noise_of_its_own_and_each_ping_other_draws(requests):
+    assert len({requests.noise_seed(name) for name in requests.sonars}) == 2
+    many = BatchRequests(requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"n_pings": 40}]}))
+    assert len({request.water.temperature_c for request in many}) == 40
+
+
 def test_of_two_tables_that_name_a_body_the_later_one_counts(tmp_path):
     """As a whole, also where it changes nothing: "*" moves, and `floor` after it stays."""
     path = write_job(tmp_path, 40, "")
@@ -611,6 +674,47 @@ def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, mon
     expected = xr.open_dataset(small / "out" / "pings.zarr", group="level").intensity
     assert (made[5] == 0).all()
     assert np.array_equal(made[[4, 6, 7]], expected[[4, 6, 7]])
+
+
+def test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in(tmp_path):
+    """Of four: both sonars see the wall, only the one of longer range does, none does, and one that is set aside."""
+    path = write_job(tmp_path, 2, "")
+    rows = "0,0,0,0,0,0,0", "1,-2.5,0,0,0,0,0", "2,0,0,50,0,0,0", "3,0,0,50,0,0,0"
+    (tmp_path / "dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
+    changes = {"poses": [{"kind": "trajectory", "file": "dive.csv"}], "only": ["wall"], "vary": {}}
+    changes["noise"] = {"preset": "none"}
+    batch = Batch(Job(**read_job(path).plain | changes), Folder(tmp_path / "out"))
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    record = make_part(batch, 0, {3: "it kills"})
+    batch.close()
+    made = {
+        name: xr.open_zarr(tmp_path / "out" / "pings.zarr", group=name, consolidated=False).intensity
+        for name in batch.requests.sonars
+    }
+    seen = {name: (values > 0).any(("beam", "range")).values.tolist() for name, values in made.items()}
+    assert seen == {"level": [True, True, False, False], "upright": [True, False, False, False]}
+    assert record.without_echo == 1 and record.set_aside == {"3": "it kills"}
+
+
+@pytest.mark.parametrize(
+    "failure", [OSError(errno.ENOSPC, "No space left on device"), MemoryError()], ids=repr
+)
+def test_what_the_machine_lacks_sets_no_ping_aside(small, tmp_path, monkeypatch, failure):
+    """The part is made again where there is space; a ping that is set aside is lost. So also of pings made alone."""
+
+    def failing(*_):
+        raise failure
+
+    batch = open_batch(small / "job.toml", tmp_path / "out")
+    Manifest.load(Folder(small / "out")).save(batch.folder)
+    create_store(batch)
+    monkeypatch.setattr(Run, "resolve", failing)
+    for one_by_one in (False, True):
+        with pytest.raises(type(failure)):
+            make_part(batch, 1, one_by_one=one_by_one)
+    batch.close()
+    assert not list((tmp_path / "out").glob("parts/*"))
 
 
 def test_a_part_without_a_single_ping_ends_the_batch(small, tmp_path, monkeypatch):

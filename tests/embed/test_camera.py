@@ -254,3 +254,29 @@ def test_sonar_pose_of_an_opengl_camera():
     np.testing.assert_allclose(sonar[:3, :3] @ [0, 0, 1], [0, 1, 0], atol=1e-12)
     with pytest.raises(sg.Error, match="world_from_camera"):
         sg.Camera.of_fov(64, 48, 1.2).sonar_pose(np.eye(3))
+
+
+def test_cameras_that_cover_a_tilted_head_look_where_it_looks():
+    """30 degrees down, with an aperture of 20 degrees: what lies level with the housing is not in it."""
+    sonar = sg.Sonar("tilted", 900e3, 64, 100, 40.0, 20.0, 1.0, 0.5, 10.0, tilt_deg=30.0)
+    cameras = sg.Camera.covering(sonar, sg.Acoustics.ideal(), pixel_deg=0.2)
+    for elevation_deg, is_seen in ((-30.0, True), (-39.9, True), (-20.1, True), (-42.0, False), (0.0, False)):
+        direction = [math.cos(math.radians(elevation_deg)), 0.0, math.sin(math.radians(elevation_deg))]
+        assert any(camera.sees(direction) for camera in cameras) == is_seen
+
+
+def test_pixels_of_covering_cameras_may_be_up_to_ten_degrees_wide():
+    sonar = sg.load_sonar("p900-45")
+    assert sg.Camera.covering(sonar, pixel_deg=10.0)
+    for pixel_deg in (0.0, 10.1, math.nan):
+        with pytest.raises(sg.Error, match=r"^pixel_deg must be degrees above 0"):
+            sg.Camera.covering(sonar, pixel_deg=pixel_deg)
+
+
+@pytest.mark.parametrize("place", [(0, 3), (1, 3), (3, 0), (3, 1), (3, 3)])
+def test_a_matrix_that_is_no_perspective_is_refused(place):
+    matrix = frustum(-1, 1, -1, 1, 1.0, 10.0)
+    sg.Camera.of_projection(matrix, 4, 4)
+    matrix[place] += 0.5
+    with pytest.raises(sg.Error, match=r"^projection must be an OpenGL perspective"):
+        sg.Camera.of_projection(matrix, 4, 4)

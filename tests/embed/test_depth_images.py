@@ -327,7 +327,8 @@ def test_pixels_without_depth_are_empty(missing):
             )
         # Pixels of a far plane are empty, too, and do not bend the estimated planes of pixels before it.
         assert (pings[-1].intensity == with_inf.intensity).all()
-    assert pings[1].intensity.sum() == pytest.approx(pings[0].intensity.sum(), rel=0.02)
+    # they are those of the faces, but for some pixels at edges and of the sphere, whose errors cancel to 2e-5
+    assert pings[1].intensity.sum() == pytest.approx(pings[0].intensity.sum(), rel=2e-4)
 
 
 @pytest.mark.parametrize("columns", [400, *(pytest.param(n, marks=pytest.mark.slow) for n in (800, 1600))])
@@ -527,6 +528,13 @@ def test_a_warning_names_what_the_cameras_do_not_see_once():
     assert caught[0].filename == __file__
 
 
+def test_half_a_per_cent_of_the_fan_that_no_camera_sees_is_warned_of():
+    """39.8 of 40 degrees."""
+    camera, depth = sg.Camera.of_fov(30, 30, math.radians(39.8)), np.full((30, 30), 5.0)
+    with pytest.warns(UserWarning, match=r"^the cameras see 99\.[456] % of the sonar's fan, and the rest"):
+        sg.ping_from_depth(depth, sonar_of(), camera, IDEAL, sampling=sg.Sampling(1, 20))
+
+
 @pytest.mark.parametrize(
     ("distance", "more", "why"),
     [
@@ -568,6 +576,12 @@ def test_samples_are_as_fine_as_pixels():
         sampling = camera_rig.finest_sampling(sonar, cameras)
         assert sampling.columns_per_beam * 64 == pytest.approx(90 / pixel_deg, rel=1e-3)
         assert sampling.rows == pytest.approx(2 * math.tan(math.radians(10)) / math.radians(pixel_deg), abs=1)
+    wide = sg.Camera.of_fov(
+        400, 100, math.radians(90), math.radians(40)
+    )  # pixels of 2 tan 45° / 400 by 2 tan 20° / 100
+    sampling = camera_rig.finest_sampling(sonar, [wide])
+    assert sampling.columns_per_beam * 64 == pytest.approx(math.radians(90) / (2 / 400), rel=1e-9)
+    assert sampling.rows == math.ceil(100 * math.tan(math.radians(10)) / math.tan(math.radians(20)))
     large = camera_rig.finest_sampling(sonar, [sg.Camera.of_fov(8000, 8000, fov_x_rad=math.pi / 2)])
     assert large.columns_per_beam * 64 * large.rows == pytest.approx(camera_rig.MAX_SAMPLES, rel=1e-3)
 

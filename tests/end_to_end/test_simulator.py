@@ -487,6 +487,82 @@ def test_what_is_above_the_water_of_the_sonar_is_not_named_as_its_nearest_surfac
     assert [str(w.message) for w in caught] == [message]
 
 
+def test_the_nearest_surface_lies_at_the_range_that_the_sonar_shows():
+    """It takes the speed of sound to be a tenth higher than it is; 5.5 m are 6.05 m for it."""
+    acoustics = replace(sg.Acoustics.ideal(), water=sg.Water(sound_speed_m_s=1450.0))
+    fast = replace(acoustics, sonar_sound_speed_m_s=1.1 * 1450.0)
+    silent = replace(BOX, reflectivity=0.0)
+    for model, range_m in ((acoustics, "5.50"), (fast, "6.05")):
+        with simulator([silent], acoustics=model) as it, pytest.warns(UserWarning) as caught:
+            it.ping(sg.pose(0, 2, 0))
+        assert [str(w.message) for w in caught] == [
+            f"no echo came back: the nearest surface in the fan lies at {range_m} m; its reflectivity is 0, or it is "
+            "seen edge-on"
+        ]
+
+
+def test_a_surface_too_far_to_be_drawn_lies_at_the_range_that_the_sonar_shows_too():
+    wall = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(400.5), 1.0)
+    fast = replace(
+        sg.Acoustics.ideal(), water=sg.Water(sound_speed_m_s=1450.0), sonar_sound_speed_m_s=1.1 * 1450.0
+    )
+    with simulator([wall], acoustics=fast) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose())
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: the nearest surface in the fan lies at 440.00 m, beyond range_max_m = 20"
+    ]
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_of_surfaces_in_several_sectors_the_nearest_is_named(side):
+    """Two that return nothing, to either side of a wide fan, each before the middle of a sector."""
+    sonar = replace(SONAR, azimuth_fov_deg=130.0)
+    silent = [
+        sg.Body(name, trimesh.creation.box((1, 1, 1)), sg.pose(yaw=yaw) @ sg.pose(x + 0.5), 0.0)
+        for name, x, yaw in (("near", 4, 0.8 * side), ("far", 7, -0.8 * side))
+    ]
+    with simulator(silent, sonar=sonar) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose())
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: the nearest surface in the fan lies at 4.00 m; its reflectivity is 0, or it is seen edge-on"
+    ]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("pose", [sg.pose(), sg.pose(0, 0, -300.0)])
+def test_of_several_bodies_the_nearest_that_is_there_is_named(order, pose):
+    """Behind the sonar, at 5, 9 and 3 m, of which the last is absent; and deep below the surface of the water."""
+    bodies = [
+        sg.Body(name, trimesh.creation.box((1, 1, 1)), pose @ sg.pose(-x - 0.5))
+        for name, x in (("near", 5), ("far", 9), ("gone", 3))
+    ][::order]
+    scene = sg.Scene(bodies, surface_z_m=2.0)
+    with (
+        sg.Simulator(scene, SONAR, sg.Acoustics.ideal(), SAMPLING) as it,
+        pytest.warns(UserWarning) as caught,
+    ):
+        it.ping(pose, bodies={"gone": None})
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: no surface lies in the fan; the nearest is 'near', 5.00 m away at azimuth 180.0° and "
+        "elevation 0.0° of the sonar, which sees ±30° and ±10°; turn or move the sonar"
+    ]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_several_far_surfaces_in_the_fan_the_nearest_is_named(order):
+    """In two wedges of a wide fan, beyond the range."""
+    walls = [
+        sg.Body(name, trimesh.creation.box((1, 20, 20)), sg.pose(yaw=yaw) @ sg.pose(x + 0.5))
+        for name, x, yaw in (("near", 400, 0.9), ("far", 700, -0.9))
+    ][::order]
+    sonar = replace(SONAR, azimuth_fov_deg=130.0)
+    with simulator(walls, sonar=sonar) as it, pytest.warns(UserWarning) as caught:
+        it.ping(sg.pose())
+    assert [str(w.message) for w in caught] == [
+        "no echo came back: the nearest surface in the fan lies at 400.00 m, beyond range_max_m = 20"
+    ]
+
+
 def test_a_ping_with_an_echo_does_not_warn():
     with simulator() as it, warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.engine.motion import check_velocity, shown_in_motion
 
 SONAR = sg.Sonar("test", 900e3, 128, 600, 32.0, 16.0, 0.5, 1.0, 31.0)
 ACOUSTICS = replace(sg.Acoustics.ideal(), water=sg.Water(sound_speed_m_s=1500.0))
@@ -127,8 +128,6 @@ def test_power_is_conserved_inside_the_fan():
 
 
 def in_motion(ping, velocity):
-    from sonar_gl.engine.motion import shown_in_motion
-
     return shown_in_motion(replace(ping, acoustics=ACOUSTICS), velocity)
 
 
@@ -237,6 +236,11 @@ def test_sequences_and_noise():
 def test_invalid_velocities_raise_errors(velocity, message):
     with simulator(balls((20, 1, 0))) as run, pytest.raises(sg.Error, match=message):
         run.ping(HERE, velocity=velocity)
+
+
+def test_the_bounds_of_velocities_are_allowed():
+    for bound in ((30.0, 0, 0, 0, 0, 20.0), (0, 0, -30.0, -20.0, 0, 0)):
+        assert check_velocity(bound).tolist() == list(bound)
 
 
 def test_motion_with_a_single_beam():

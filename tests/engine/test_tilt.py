@@ -61,6 +61,8 @@ def test_a_tilted_head_sees_what_a_level_one_sees_at_its_pose(engine):
                 level.ping(pose @ TILT, time_s=3.0, velocity=in_head, **settings),
                 pose,
             )
+        moving = tilted.ping(POSES[0], velocity=VELOCITY)
+        assert moving.meta["velocity"] == VELOCITY.tolist()  # of the housing, as it was given
         several = tilted.pings(POSES, **settings), level.pings([pose @ TILT for pose in POSES], **settings)
         for pose, *pings in zip(POSES, *several, strict=True):
             check_same(*pings, pose)

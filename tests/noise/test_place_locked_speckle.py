@@ -234,6 +234,17 @@ def test_the_pattern_moves_with_the_echoes_where_the_sonar_assumes_another_speed
     )  # a pulse of two bins correlates neighbours
 
 
+@pytest.mark.parametrize("bandwidth_hz", [60e3, 20e3])  # c/2B is one bin, and three
+def test_the_pattern_is_that_of_true_metres_whatever_ranges_the_sonar_shows(bandwidth_hz):
+    """A sonar whose bins are as much longer as the speed that it assumes is higher has the same ping, to the bit."""
+    right = even_ping(16, 100, pose=pose(0.2), pulse=True, bandwidth_hz=bandwidth_hz)
+    ranges_m = {key: 1.1 * getattr(right.sonar, key) for key in ("range_min_m", "range_max_m")}
+    sonar = replace(right.sonar, **ranges_m)
+    acoustics = replace(right.acoustics, sonar_sound_speed_m_s=1.1 * SOUND_SPEED_M_S)
+    fast = replace(right, sonar=sonar, range_m=sonar.range_m, acoustics=acoustics)
+    np.testing.assert_array_equal(*(add_noise(ping, PLACE_LOCKED, 1).intensity for ping in (right, fast)))
+
+
 def test_moving_ahead_by_many_bins_changes_a_single_bin():
     """Its length is that of the sonar's bin, not its range."""
     before, after = (

@@ -80,6 +80,15 @@ def test_noise_is_received_one_way_and_echo_two_ways():
     assert levels.thermal_noise_db == pytest.approx(received_db - levels.echo_level_db, abs=1e-9)
 
 
+def test_a_bandwidth_that_is_not_stated_follows_from_the_bins_for_levels_too():
+    """A resolution cell, c/2B (1 + 2 (0.23/0.54)²) of Hamming's taper, is as long as a bin at the water's speed."""
+    acoustics = replace(Acoustics.ideal(), water=Water(sound_speed_m_s=1450.0))
+    cell_m = (30.0 - 0.5) / 100
+    expected_hz = 1450.0 / (2 * cell_m) * (1 + 2 * (0.23 / 0.54) ** 2)
+    levels = absolute_levels(replace(BY_HAND, bandwidth_hz=None), acoustics)
+    assert levels.bandwidth_hz == pytest.approx(expected_hz, rel=1e-12)
+
+
 def test_beams_that_broaden_aside_have_levels_of_their_own():
     """A straight array's beam at 29.5 degrees is 1/cos of it as wide: its echo is by as much stronger."""
     straight = replace(BY_HAND, steered="straight")
@@ -254,10 +263,12 @@ def test_interference_goes_on_over_the_seam_of_a_full_circle():
     [
         {"ambient_db": 100.0},
         {"speckle": True, "ambient_db": 100.0, "interference_lines": 9, "interference_db": 100},
+        {"self_noise": True},  # the ring-down alone: without it the noise of the receiver is cut off, too
     ],
 )
 def test_loud_noise_stays_finite(amounts):
-    ping = even_ping(16, 64, **Acoustics.physical(tvg_k=60.0, tvg_absorption_db_m=1e5).meta())
+    acoustics = Acoustics.physical(tvg_k=60.0, tvg_absorption_db_m=1e5).meta()
+    ping = even_ping(16, 64, self_noise_db=-300.0, ring_down_db=300.0, ring_down_decay_db_m=0.1, **acoustics)
     x = add_noise(ping, Noise(**amounts), 0).intensity
     assert np.isfinite(x).all() and x.max() > 1e25
 
@@ -307,3 +318,12 @@ def test_an_interfering_pulse_has_the_power_pattern_of_the_beams(
     off = np.minimum(off, 360 - off) / (width_deg or fov_deg / 221)
     pattern = np.maximum(field(2 * half_power * off) ** 2, 10**-3.5)
     np.testing.assert_allclose(intensity[:, 5:11], np.outer(pattern, power[5:11]), rtol=1e-5)  # float32
+
+
+@pytest.mark.parametrize("width_rad", [math.radians(2.0), None], ids=["of 2 degrees", "unknown"])
+def test_an_interfering_pulse_shorter_than_a_bin_fills_one_bin_also_of_a_single_beam(width_rad):
+    """75 mm, of bins of half a metre; the beam lies in its direction, however wide it is."""
+    intensity, power = np.zeros((1, 20), np.float32), np.arange(1.0, 21.0)
+    beam = FieldCorrelation((0.3,), width_rad, ())
+    add_interference(intensity, 1.0, power, beam, 0.5, 1500.0, OnePulse())
+    assert intensity[0].tolist() == [6.0 if k == 5 else 0.0 for k in range(20)]

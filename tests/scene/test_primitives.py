@@ -151,6 +151,9 @@ def test_heightmap_top_row_is_north_and_left_column_west(tmp_path):
     assert (mesh.face_normals[:, 2] > 0).all()
 
 
+COLOURS = np.array([[[30, 60, 90, 255], [0, 0, 0, 7]], [[90, 30, 0, 255], [0, 0, 60, 0]]], np.uint8)
+
+
 @pytest.mark.parametrize(
     ("suffix", "image", "expected"),
     [
@@ -158,6 +161,12 @@ def test_heightmap_top_row_is_north_and_left_column_west(tmp_path):
         ("png", np.array([[40000, 10000], [0, 20000]], np.uint16), [3.0, 0.75, 0.0, 1.5]),
         ("png", np.full((2, 2, 3), 51, np.uint8), [3.0] * 4),
         ("png", np.zeros((2, 2), np.uint8), [0.0] * 4),
+        (
+            "png",
+            COLOURS,
+            [3.0, 0.0, 2.0, 1.0],
+        ),  # of their means, 60, 0, 40 and 20; how opaque they are does not count
+        ("png", COLOURS[..., :3], [3.0, 0.0, 2.0, 1.0]),
         ("tiff", np.full((2, 2), -1.25, np.float32), [-1.25] * 4),
     ],
 )
@@ -179,6 +188,14 @@ def test_a_tiff_is_an_elevation_model_whose_size_is_its_own_extent(tmp_path, dty
     mesh, _ = mesh_files.heightmap(path, (9.0, 9.0, size_z), (0.0, 0.0, -1600.0))
     expected = expected or [1200, 1210, 1220, 1240]
     np.testing.assert_allclose(mesh.vertices[:, 2], np.array(expected) - 1600.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("size_z", [1.0, 7.0])
+def test_a_level_elevation_model_keeps_its_height(tmp_path, size_z):
+    path = tmp_path / "dem.tif"
+    cv2.imwrite(str(path), np.full((2, 3), 12.5, np.float32))
+    mesh, _ = mesh_files.heightmap(path, (9.0, 9.0, size_z))
+    assert mesh.vertices[:, 2].tolist() == [12.5] * 6
 
 
 @pytest.mark.parametrize("gap", [-9999.0, -32768.0])
@@ -282,6 +299,18 @@ def test_scene_graph_is_flattened_and_submeshes_are_found(tmp_path):
     assert error_of(mesh_files.read_mesh, tmp_path / "a.glb", "nose") == (
         f"{tmp_path / 'a.glb'}: there is no submesh 'nose' (it has far, near)"
     )
+
+
+def test_a_centred_mesh_has_the_middle_of_its_box_at_the_origin_whatever_vertices_no_face_uses(tmp_path):
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+        "1 1 1\n3 1 1\n1 5 1\n1 4 1\n50 60 70\n3 0 1 2\n3 0 1 3\n"
+    )
+    mesh, _ = mesh_files.read_mesh(tmp_path / "a.ply", center=True)
+    assert len(mesh.vertices) == 5
+    used = mesh.vertices[np.unique(mesh.faces)]
+    np.testing.assert_allclose([used.min(axis=0), used.max(axis=0)], [[-1, -2, 0], [1, 2, 0]], atol=1e-12)
 
 
 def test_collada_unit_is_applied_and_up_axis_is_not(tmp_path):

@@ -673,6 +673,61 @@ def test_shapes_have_sdfs_own_defaults(read, geometry, low, high):
     assert closedness(*body.surface) == 1
 
 
+@pytest.mark.parametrize(
+    ("center", "middle"),
+    [
+        ("", 5.0),
+        ("<center>false</center>", 5.0),
+        ("<center>1</center>", 0.0),
+        ("<center> true </center>", 0.0),
+    ],
+)
+def test_a_submesh_lies_where_it_is_in_its_file_unless_it_is_to_be_centred(tmp_path, read, center, middle):
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box((1, 1, 1)), node_name="near", geom_name="one")
+    scene.add_geometry(
+        trimesh.creation.box((2, 2, 2)), node_name="far", geom_name="two", transform=sg.pose(5)
+    )
+    scene.export(tmp_path / "a.glb")
+    geometry = f"<mesh><uri>a.glb</uri><submesh><name>far</name>{center}</submesh></mesh>"
+    (body,) = read(model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")))).bodies
+    low, high = (f(body.surface.vertices, axis=0) for f in (np.min, np.max))
+    np.testing.assert_allclose([low, high], [[middle - 1, -1, -1], [middle + 1, 1, 1]], atol=ROUNDING)
+
+
+@pytest.mark.parametrize(("size", "half"), [("", (0.5, 0.5)), ("<size>4 6</size>", (2.0, 3.0))])
+def test_the_plane_of_a_visual_is_as_large_as_stated_or_a_square_metre(read, size, half):
+    """SDF's default size of a plane is 1 1; that of a collision is infinite."""
+    visual = f"<visual name='v'><geometry><plane>{size}</plane></geometry>{RETRO}</visual>"
+    (body,) = read(model(link(shape=visual))).bodies
+    np.testing.assert_allclose(body.surface.vertices.min(axis=0), [-half[0], -half[1], 0], atol=ROUNDING)
+    np.testing.assert_allclose(body.surface.vertices.max(axis=0), [*half, 0], atol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("specular", "n_bodies"), [("", 1), ("<sonar_gl:specular>0.2</sonar_gl:specular>", 2)]
+)
+def test_the_roughness_of_shapes_without_a_lobe_divides_no_link(read, specular, n_bodies):
+    """Only the width of a lobe would differ."""
+    shapes = "".join(
+        f"<collision name='c{k}'><geometry><box/></geometry>{RETRO}{specular}"
+        f"<sonar_gl:roughness>{roughness}</sonar_gl:roughness></collision>"
+        for k, roughness in enumerate((0.1, 0.2))
+    )
+    assert len(read(model(link(shape=shapes))).bodies) == n_bodies
+
+
+@pytest.mark.parametrize(
+    ("points", "count"), [(["0 0", "1 0"], 2), (["0 0", "1 0", "1 0", "0 0"], 2), (["1 2"] * 5, 0)]
+)
+def test_a_polyline_of_fewer_than_three_different_points_is_refused(read, points, count):
+    """Points that follow one another in one place count once; the last one is followed by the first."""
+    line = "".join(f"<point>{point}</point>" for point in points)
+    polyline = shape(RETRO, geometry=f"<geometry><polyline>{line}</polyline></geometry>")
+    with pytest.raises(Error, match=rf"polyline: must have three different points or more \(got {count}\)$"):
+        read(model(link(shape=polyline)))
+
+
 def test_polylines_within_others_are_holes(read):
     """A square ring of area 16 − 4 with a square of 0.25 in its hole, and a triangle beside it; the senses differ."""
     rings = (

@@ -8,7 +8,7 @@ import pytest
 import sonar_gl as sg
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.weights import beam_weights
-from sonar_gl.sonar.fan import BeamShape, ColumnWidths, make_fan
+from sonar_gl.sonar.fan import BeamShape, ColumnWidths, ends_of_fan_rad, make_fan
 from tests.support.fans import box_fan, make_sonar
 
 
@@ -134,3 +134,119 @@ def test_the_largest_width_of_columns_is_a_parameter():
         sonar, sg.Sampling(1.0, 16), BeamShape(support_rad, is_box=False), widths=ColumnWidths(0.25)
     )
     assert np.diff(fan.column_edges_rad).max() <= 0.25 * math.radians(45 / 256) * (1 + 1e-9)
+
+
+def test_columns_of_a_table_are_half_its_least_spacing_wide_at_most():
+    """Beams half a degree apart, as others are 43 degrees apart; samples, and parts of a beam, would be wider."""
+    sonar = make_sonar(90.0, 5, 6.0, beam_azimuths_deg=(-40.0, -11.0, 0.5, 1.0, 44.0))
+    support_rad = Acoustics.physical().receive_support_rad(sonar)
+    fan = make_fan(sonar, sg.Sampling(0.25, 16), BeamShape(support_rad, is_box=False))
+    widest_rad = np.diff(fan.column_edges_rad).max()
+    assert math.radians(0.49) / 2 < widest_rad <= math.radians(0.5) / 2 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("width_deg", [8.0, 30.0])
+def test_columns_of_boxes_follow_the_transmit_beam(width_deg):
+    """A box of 40 degrees, whose column would be as wide, has 16 columns in the width of the transmit beam."""
+    beams = BeamShape(math.radians(20.0), transmit_width_rad=math.radians(width_deg))
+    fan = make_fan(make_sonar(40.0, 1, 40.0), sg.Sampling(100, 16), beams)
+    widths_deg = np.degrees(np.diff(fan.column_edges_rad))
+    assert widths_deg.max() <= width_deg / 16 * (1 + 1e-9) and widths_deg.min() > width_deg / 32
+    assert widths_deg.sum() == pytest.approx(40.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("fov_deg", [150.0, 60.0])
+def test_the_fan_of_a_straight_array_ends_beside_it(fov_deg):
+    """It receives nothing from behind, and cones end 6 degrees before; boxes and arrays steered alike go on."""
+    sonar, support_rad = make_sonar(fov_deg, 32, 4.0), math.radians(45.0)
+    reach = sonar.azimuth_rad[-1] + support_rad
+    straight = make_sonar(fov_deg, 32, 4.0, steered="straight")
+    for one, beams, end in (
+        (sonar, BeamShape(support_rad, is_box=False), reach),
+        (straight, BeamShape(support_rad), reach),
+        (straight, BeamShape(support_rad, is_box=False), min(reach, math.pi / 2)),
+        (straight, BeamShape(support_rad, is_box=False, are_cones=True), min(reach, math.radians(84.0))),
+    ):
+        assert ends_of_fan_rad(one, beams) == pytest.approx((-end, end), rel=1e-12)
+
+
+def test_side_lobes_have_wider_and_higher_samples_from_one_sector_to_the_next():
+    """4 times at first, then twice as many times each time; and an angle takes more of tan φ there.
+
+    The samples of the aperture are so small that each sector has more rows than its least number.
+    """
+    sampling = sg.Sampling(40, 4000)
+    beams = BeamShape(math.radians(0.5), max_elevation_deg=89.5)
+    fan = make_fan(make_sonar(20.0, 90, elevation_fov_deg=54.0), sampling, beams)
+    dense, *others = fan.sectors
+    row, column, width = dense.v[2], dense.u[1], 2 * math.tan(dense.half_width_rad)
+    assert row == pytest.approx(2 * math.tan(math.radians(27.0)) / 4000, rel=1e-12)
+    above = sorted((one for one in others if one.tan_low > 0), key=lambda one: one.tan_low)
+    below = sorted((one for one in others if one.tan_low < 0), key=lambda one: -one.tan_high)
+    assert len(above) == len(below) == 4
+    for number, (one, mirrored) in enumerate(zip(above, below, strict=True)):
+        assert (mirrored.tan_low, mirrored.tan_high) == (-one.tan_high, -one.tan_low)
+        assert (mirrored.rows, mirrored.columns) == (one.rows, one.columns)
+        level = 1 + one.tan_low**2
+        height, coarser = one.tan_high - one.tan_low, 4 * 2**number
+        if number < len(above) - 1:
+            assert height == pytest.approx(0.75 * level, rel=1e-12)
+        for found, wanted in (
+            (height / one.v[2], height / (coarser * row * level)),
+            (width / one.u[1], width / (coarser * column * math.sqrt(level))),
+        ):
+            assert wanted - 1e-6 <= found < wanted + 1 - 1e-6  # the whole number from there on
+    last = math.atan(above[-1].tan_high) - math.atan(above[-1].tan_low)
+    assert last >= math.radians(1.0) and math.degrees(math.atan(above[-1].tan_high)) == pytest.approx(89.5)
+
+
+@pytest.mark.parametrize(("max_deg", "n_bands"), [(86.0, 3), (87.0, 3), (87.5, 4)])
+def test_no_sector_of_side_lobes_is_lower_than_a_degree(max_deg, n_bands):
+    """A third one ends at 86.27 degrees, or goes on to the limit if less than a degree would be left."""
+    beams = BeamShape(math.radians(0.5), max_elevation_deg=max_deg)
+    fan = make_fan(make_sonar(20.0, 90, elevation_fov_deg=54.0), sg.Sampling(2, 20), beams)
+    above = [one for one in fan.sectors if one.tan_low > 0]
+    heights = [math.atan(one.tan_high) - math.atan(one.tan_low) for one in above]
+    assert len(above) == n_bands and min(heights) >= math.radians(1.0)
+    assert max(math.atan(one.tan_high) for one in above) == pytest.approx(math.radians(max_deg), rel=1e-12)
+
+
+def test_sectors_of_side_lobes_have_16_rows_at_least():
+    """With 4, a bin of the first bottom return is 1.2 dB too low where two sectors meet."""
+    beams = BeamShape(math.radians(0.5), max_elevation_deg=89.5)
+    fan = make_fan(make_sonar(20.0, 90, elevation_fov_deg=54.0), sg.Sampling(2, 20), beams)
+    heights = [(one.tan_high - one.tan_low) / one.v[2] for one in fan.sectors[1:]]
+    assert len(heights) == 8 and min(heights) >= 16 - 1e-9
+
+
+def test_where_the_aperture_is_dense_rows_are_as_high_as_asked_for():
+    """Up to 10 of 27 degrees; a whole row is the least that is more."""
+    beams = BeamShape(math.radians(0.5), dense_elevation_deg=10.0)
+    fan = make_fan(make_sonar(20.0, 90, elevation_fov_deg=54.0), sg.Sampling(2, 200), beams)
+    dense, row = fan.sectors[0], 2 * math.tan(math.radians(27.0)) / 200
+    assert dense.tan_high == -dense.tan_low == pytest.approx(math.tan(math.radians(10.0)), rel=1e-12)
+    height = dense.tan_high - dense.tan_low
+    assert height / dense.v[2] == pytest.approx(math.ceil(height / row), rel=1e-12)
+    # what is left of the aperture lies above and below, up to its ends
+    (above,) = (one for one in fan.sectors if one.tan_low > 0)
+    (below,) = (one for one in fan.sectors if one.tan_high < 0)
+    assert (above.tan_low, below.tan_high) == (dense.tan_high, dense.tan_low)
+    assert above.tan_high == -below.tan_low == pytest.approx(math.tan(math.radians(27.0)), rel=1e-12)
+
+
+@pytest.mark.parametrize("fov_deg", [60.0, 120.0])
+def test_sectors_of_cones_are_as_dense_as_those_that_hold_the_columns_at_the_horizon(fov_deg):
+    """Cones bend outwards above it, so that their sectors reach further aside, with as many more samples."""
+    sonar, support_rad = make_sonar(fov_deg, 64, 1.0, steered="straight"), math.radians(4.0)
+    flat, cones = (
+        make_fan(sonar, sg.Sampling(4, 40), BeamShape(support_rad, is_box=False, are_cones=are_cones))
+        for are_cones in (False, True)
+    )
+
+    def samples_per_rad(fan):
+        one = fan.sectors[0]
+        return one.half_width_rad, math.tan(one.half_width_rad) / one.u[1] / one.half_width_rad
+
+    (narrow, wanted), (wide, found) = samples_per_rad(flat), samples_per_rad(cones)
+    assert wide > narrow * 1.001
+    assert wanted * (1 - 1e-9) <= found < wanted * 1.02

@@ -450,6 +450,70 @@ def test_counts_change_the_gain_that_a_program_leaves_to_the_device():
     assert [(law.gain_percentile, law.gain_db) for law in laws] == [(90.0, 0.0), (None, 30.0)]
 
 
+@pytest.mark.parametrize(
+    ("rate", "rate_hz"), [(0, 10.0), (1, 15.0), (2, 40.0), (3, 5.0), (4, 2.0), (5, 0.0), (9, 10.0)]
+)
+def test_ping_rates_are_those_of_their_codes(rate, rate_hz):
+    """PingRateType of Oculus.h: normal, high, highest, low, lowest and standby; a device goes on at the normal one."""
+    assert FireMessage(1, LOW, rate, 127, METRES, 5.0, 50.0, 0.0, b"").ping_rate_hz == rate_hz
+
+
+@pytest.mark.parametrize(
+    ("name", "part"), [("m370s", 1041), ("m750d", 1032), ("m1200d", 1042), ("m3000d", 2203)]
+)
+def test_models_have_their_part_numbers_and_presets(name, part):
+    """OculusPartNumberType of Oculus.h."""
+    model = MODELS[name]
+    assert model.part_number == part and len(model.presets) == 2
+    low, high = map(sg.load_sonar, model.presets)
+    assert low.name.startswith(f"oculus-{name}") and high.name.startswith(f"oculus-{name}")
+    assert low.frequency_hz < high.frequency_hz or name == "m370s"  # which has one frequency
+
+
+class QuietHead:
+    """In place of a head: keeps the acoustics of each ping, and makes none."""
+
+    def __init__(self, acoustics):
+        self.acoustics, self.used = acoustics, []
+
+    def ping(self, sonar, acoustics, time_s, number):
+        self.used.append(acoustics)
+        ping = replace(fan_ping(), sonar=sonar, acoustics=acoustics, pose=np.eye(4))
+        return replace(ping, range_m=sonar.range_m[: ping.intensity.shape[1]])
+
+
+def test_ranges_follow_the_speed_of_sound_that_a_program_sets():
+    """0 leaves it to the sonar; and the pressure is that of the water's depth, ten metres to a bar."""
+    water = sg.Water(temperature_c=8.0, depth_m=25.0)
+    head = QuietHead(sg.Acoustics.physical(water=water))
+    device = OculusHead(MODELS["m1200d"], head)
+    for asked_m_s, used_m_s in ((1600.0, 1600.0), (0.0, water.sound_speed())):
+        fire = FireMessage(2, HIGH, 0, 127, METRES, 5.0, 50.0, asked_m_s, b"")
+        result = device.ping(fire, 0.0, 1)
+        assert head.used[-1].assumed_sound_speed_m_s() == result.sound_speed_m_s == used_m_s
+        assert head.used[-1].water == water
+        assert (result.temperature_c, result.pressure_bar) == (8.0, pytest.approx(1.01325 + 2.5))
+
+
+@pytest.mark.parametrize(
+    ("offset", "allowed", "refused", "words"),
+    [
+        (5, (1e-3, 1000.0), (0.0, 1000.1), "a range above 0 and up to 1000"),
+        (13, (0.0, 100.0), (-0.1, 100.1), "a gain of 0 to 100 per cent"),
+        (21, (0.0, 1000.0, 2000.0), (0.5, 999.0, 2001.0), "a speed of sound of 1000 to 2000 m/s, or 0"),
+    ],
+)
+def test_numbers_of_a_fire_message_are_allowed_up_to_their_bounds(offset, allowed, refused, words):
+    payload = bytearray(fire_bytes()[16:])
+    for value in allowed:
+        struct.pack_into("<d", payload, offset, value)
+        parse_fire_message(1, bytes(payload))
+    for value in refused:
+        struct.pack_into("<d", payload, offset, value)
+        with pytest.raises(Error, match=words):
+            parse_fire_message(1, bytes(payload))
+
+
 def test_short_fire_message_is_refused():
     with pytest.raises(Error, match="must have 73 bytes"):
         parse_fire_message(2, bytes(72))

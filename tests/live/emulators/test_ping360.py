@@ -6,6 +6,7 @@ import socket
 import struct
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from types import SimpleNamespace
 
 import brping
@@ -100,10 +101,14 @@ def test_turn_without_transmitting_has_no_echo(client):
 
 
 def test_scan_goes_on_by_itself_until_the_motor_is_switched_off(client):
-    client.control_auto_transmit(1, 0, 32, 400, 750, 200, 390, 10, 5, 0)
+    client.control_auto_transmit(1, 0, 32, 400, 750, 200, 390, 10, 5, 7)
     kinds = [brping.definitions.PING360_AUTO_DEVICE_DATA]
-    angles = [client.wait_message(kinds, WAIT_S).angle for _ in range(6)]
-    assert angles == [390, 395, 0, 5, 10, 5]
+    answers = [client.wait_message(kinds, WAIT_S) for _ in range(6)]
+    assert [one.angle for one in answers] == [390, 395, 0, 5, 10, 5]
+    for one in answers:  # each repeats what was asked for
+        assert (one.mode, one.gain_setting, one.transmit_duration, one.sample_period) == (1, 0, 32, 400)
+        assert (one.transmit_frequency, one.number_of_samples, one.data_length) == (750, 200, 200)
+        assert (one.start_angle, one.stop_angle, one.num_steps, one.delay) == (390, 10, 5, 7)
     client.control_motor_off()
     assert client.wait_message([brping.definitions.COMMON_ACK], WAIT_S).acked_id == 2903
 
@@ -129,6 +134,86 @@ def test_scan_turns_back_at_both_ends():
     assert [Scan(settings, 395, 5, 4, 0.0).angle(n) for n in range(6)] == [395, 399, 3, 399, 395, 399]
     assert [Scan(settings, 0, 399, 10, 0.0).angle(n) for n in (0, 1, 39, 40)] == [0, 10, 390, 0]
     assert Scan(settings, 20, 22, 5, 0.0).angle(3) == 20  # a sector narrower than a step
+    assert [Scan(settings, 100, 100, 10, 0.0).angle(n) for n in (0, 1, 39, 40)] == [100, 110, 90, 100]
+
+
+def test_a_sample_is_a_bin_of_its_time_at_the_speed_that_is_set():
+    """25 ns is the unit of the period; sound goes there and back; the bandwidth is one over the pulse's length."""
+    acoustics = sg.Acoustics.physical(sonar_sound_speed_m_s=1600.0)
+    device = Ping360Head(SimpleNamespace(acoustics=acoustics))
+    for gain, gain_db in ((0, 10.0), (1, 20.0), (2, 30.0)):
+        sonar = device.sonar(TransducerSettings(1, gain, 7, 50, 400, 650, 300))
+        assert (sonar.n_beams, sonar.n_bins, sonar.range_min_m, sonar.frequency_hz) == (1, 300, 0.0, 650e3)
+        assert sonar.bin_size_m == pytest.approx(400 * 25e-9 * 1600.0 / 2, rel=1e-12)
+        assert sonar.bandwidth_hz == pytest.approx(20e3, rel=1e-12)
+        assert (sonar.counts.gain_db, sonar.counts.gain_percentile) == (gain_db, None)
+    # a pulse of 1 µs would be shorter than its period
+    assert device.sonar(TransducerSettings(1, 0, 7, 1, 400, 650, 300)).bandwidth_hz == 650e3
+
+
+FIRST_AND_LAST = {  # of ping360.json
+    "gain_setting": (0, 2),
+    "angle": (0, 399),
+    "transmit_duration_us": (1, 1000),
+    "sample_period": (80, 40_000),
+    "transmit_frequency_khz": (500, 1000),
+    "n_samples": (1, 1200),
+}
+
+
+@pytest.mark.parametrize("name", FIRST_AND_LAST)
+def test_settings_are_allowed_up_to_their_bounds(name):
+    first, last = FIRST_AND_LAST[name]
+    for value in (first, last):
+        assert getattr(replace(FIRST_SETTINGS, **{name: value}), name) == value
+    for value in (first - 1, last + 1):
+        with pytest.raises(Error, match=rf"^{name} must be {first} to {last} \(got {value}\)$"):
+            replace(FIRST_SETTINGS, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "last"), [("start", 0, 399), ("stop", 0, 399), ("step", 1, 10), ("delay_s", 0, 0.1)]
+)
+def test_scans_are_allowed_up_to_their_bounds(name, first, last):
+    scan = Scan(FIRST_SETTINGS, 3, 5, 1, 0.0)
+    for value in (first, last):
+        assert getattr(replace(scan, **{name: value}), name) == value
+    for value in (first - 1, last + 1):
+        with pytest.raises(Error, match="of a scan must be"):
+            replace(scan, **{name: value})
+
+
+def test_each_ping_has_noise_of_its_own():
+    """Its number is that of no ping before, whatever the settings are."""
+    head = SimpleNamespace(acoustics=sg.Acoustics.physical(), numbers=[])
+
+    def ping(sonar, acoustics, time_s, number, turn):
+        head.numbers.append(number)
+        return SimpleNamespace(counts=lambda: np.zeros((1, sonar.n_bins), np.uint8))
+
+    head.ping = ping
+    device = Ping360Head(head)
+    for _ in range(3):
+        assert len(device.ping(FIRST_SETTINGS, 0.0)) == 200
+    assert len(set(head.numbers)) == 3
+
+
+@pytest.mark.parametrize("kind", [2000, 2600, 2903], ids=["number", "reset", "motor off"])
+def test_what_needs_no_answer_is_acknowledged(client, kind):
+    address = "127.0.0.1", client.iodev.getpeername()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.settimeout(WAIT_S)
+        other.sendto(PingMessage(kind, b"\x01\x00").pack(0, 0), address)
+        assert parse_messages(other.recv(1000)) == [PingMessage(1, kind.to_bytes(2, "little"))]
+
+
+def test_the_last_settings_are_told_on_request(client):
+    """Without a ping, as a program reads them that connects anew."""
+    client.control_transducer(1, 2, 123, 40, 500, 800, 300, 0, 0)
+    assert client.wait_message([brping.definitions.PING360_DEVICE_DATA], WAIT_S).angle == 123
+    told = client.request(brping.definitions.PING360_DEVICE_DATA, timeout=WAIT_S)
+    assert (told.gain_setting, told.angle, told.transmit_duration, told.sample_period) == (2, 123, 40, 500)
+    assert (told.transmit_frequency, told.number_of_samples, told.data_length) == (800, 300, 0)
 
 
 def test_messages_survive_noise_before_and_behind_them():
