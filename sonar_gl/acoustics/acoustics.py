@@ -279,7 +279,7 @@ class Acoustics:
             )
         if self.multipath != "none" and water.wave_height_m() != self.water.wave_height_m():
             raise Error(
-                "the wind must not change where there is multipath, since waves decide whether the surface is a mirror "
+                "the wind must not change where there is multipath, since waves decide whether the surface reflects "
                 f'(got wind_speed_m_s = {water.wind_speed_m_s} for {self.water.wind_speed_m_s}; give multipath="none", '
                 "or make one Simulator for each wind)"
             )
