@@ -33,7 +33,7 @@ LOW_FREQUENCY, TEN_PINGS_A_SECOND = 1, 0
 RANGE_IN_METRES, SIMPLE_RESULT, GAIN_ASSISTANCE = 0x01, 0x08, 0x10  # flags
 GAMMA = 127  # counts go as the square root of amplitude
 AS_THEY_CAME = sg.Counts("power", exponent=1.0)  # the law that leaves counts as they are
-PATCH_M, PATCH_BEAMS = 0.2, 5  # long and wide, of which the brightest is told
+PATCH_M, PATCH_BEAMS = 0.2, 5  # long and wide, of which the brightest is reported
 PATIENCE_S = 30.0
 
 

@@ -25,7 +25,7 @@ from sonar_gl.ros.transport import Topic
 MSGTYPE = "marine_acoustic_msgs/msg/ProjectedSonarImage"
 BYTES = {0: 1, 2: 2}  # of a count: DTYPE_UINT8 and DTYPE_UINT16 of marine_acoustic_msgs/SonarImageData
 AS_THEY_CAME = sg.Counts("power", exponent=1.0)  # the law that leaves counts as they are
-PATCH_M, PATCH_BEAMS = 0.2, 5  # long and wide, of which the brightest is told
+PATCH_M, PATCH_BEAMS = 0.2, 5  # long and wide, of which the brightest is reported
 PATIENCE_S = 10.0
 HINT = (
     "nothing on {} yet: does sonar-gl ros2 run, with this transport and domain? Its first ping after an installation "

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.water import Water
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.poses import check_pose
@@ -18,10 +20,12 @@ from sonar_gl.engine.run import Run
 from sonar_gl.engine.sequence import make_pings
 from sonar_gl.engine.warm_up import warm_up
 from sonar_gl.engine.world import World
+from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import GBuffer, Ping
 from sonar_gl.raster.gbuffers import gbuffers_of
 from sonar_gl.raster.point_cloud import point_cloud
-from sonar_gl.scene.scene import Scene
+from sonar_gl.scene.plume import Bubbles
+from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
@@ -125,7 +129,11 @@ class Simulator:
         """The `Fan`, beams and sectors, at the current `sampling`."""
         return self.run.sampler.resolution.stage.fan
 
-    def plan(self, poses, bodies=None, times_s=None, reflectivities=None, waters=None) -> Plan | None:
+    def plan(
+        self, poses: Iterable[ArrayLike], bodies: Iterable[dict | None] | None = None,
+        times_s: Iterable[float | None] | None = None, reflectivities: Iterable[dict | None] | None = None,
+        waters: Iterable[Water | None] | None = None,
+    ) -> Plan | None:  # fmt: skip
         """Choose the samples that keep the tolerance at these poses, of many at a few, and use them from now on.
 
         Without this the samples of a ping are chosen ping by ping, and depend on the pings before. Pings with another
@@ -152,8 +160,10 @@ class Simulator:
         return plan(self._run, requests)
 
     def ping(
-        self, pose, noise=None, seed=0, labels=False, ping_number=0, bodies=None, time_s=None, velocity=None,
-        reflectivity=None, water=None, background=None, label_level_db=None,
+        self, pose: ArrayLike, noise: Noise | None = None, seed: int = 0, labels: bool = False, ping_number: int = 0,
+        bodies: dict | None = None, time_s: float | None = None, velocity: ArrayLike | None = None,
+        reflectivity: dict | None = None, water: Water | None = None, background: Iterable[str] | None = None,
+        label_level_db: float | None = None,
     ) -> Ping:  # fmt: skip
         """Return the ping that the sonar makes from `pose`.
 
@@ -199,8 +209,11 @@ class Simulator:
         return make_ping(self._run, request)
 
     def pings(
-        self, poses, noise=None, seed=0, labels=False, bodies=None, times_s=None, velocities=None,
-        reflectivities=None, waters=None, background=None, label_level_db=None,
+        self, poses: Iterable[ArrayLike], noise: Noise | None = None, seed: int = 0, labels: bool = False,
+        bodies: Iterable[dict | None] | None = None, times_s: Iterable[float | None] | None = None,
+        velocities: Iterable[ArrayLike | None] | None = None, reflectivities: Iterable[dict | None] | None = None,
+        waters: Iterable[Water | None] | None = None, background: Iterable[str] | None = None,
+        label_level_db: float | None = None,
     ) -> Iterator[Ping]:  # fmt: skip
         """Yield pings from one pose after the other, faster than `ping` would, since several are made at a time.
 
@@ -247,7 +260,7 @@ class Simulator:
         with self._run.drawing():
             self.world.place(bodies)
 
-    def add(self, *bodies) -> None:
+    def add(self, *bodies: Body | Bubbles) -> None:
         """Put more bodies or plumes into the scene; the numbers of those that are there stay.
 
         Many are given at once, as `simulator.add(*bodies)`: each call goes through all that are there.
@@ -259,7 +272,7 @@ class Simulator:
         with self._run.drawing():
             self.world.add(bodies)
 
-    def gbuffers(self, pose) -> list[GBuffer]:
+    def gbuffers(self, pose: ArrayLike) -> list[GBuffer]:
         """Return what the depth + normal pass sees from `pose`: one `GBuffer` for each of `self.fan.sectors`.
 
         Axes are those of the head, `Sonar.head_pose` of the pose.
@@ -274,7 +287,7 @@ class Simulator:
             (view,) = renderer.render([head_pose], with_bodies=True, full=True)
             return gbuffers_of(view)
 
-    def point_cloud(self, pose, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    def point_cloud(self, pose: ArrayLike, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
         """Return points of a plain grid of rays over the field of view, as a ray sensor would give them.
 
         Parameters

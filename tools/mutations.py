@@ -1001,7 +1001,7 @@ MUTATIONS = (
     ),
     Mutation("pulse/side lobes", '"hamming": 1.1e-4', '"hamming": 1e-3', ("test_pulse",)),
     Mutation(
-        "surface/waves end the mirror",
+        "surface/waves end the reflection",
         "max(scene.surface_roughness_m, wave_height_m)",
         "scene.surface_roughness_m",
         SURFACE,

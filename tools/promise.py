@@ -71,7 +71,7 @@ class Outcome:
     met : the ping claims that the promise is kept
     error_estimate : that of the ping, or of its plan
     errors : against the truth
-    doubt : how far off the truth may be
+    uncertainty : how far off the truth may be
     cost : None if it is not known
     """
 
@@ -80,7 +80,7 @@ class Outcome:
     met: bool
     error_estimate: float
     errors: Errors
-    doubt: Errors
+    uncertainty: Errors
     cost: Cost | None = None
 
     @property
@@ -91,7 +91,9 @@ class Outcome:
     @property
     def is_open(self) -> bool:
         """Whether it is not kept by so little that the truth may be what errs."""
-        least = Errors(*(error - doubt for error, doubt in zip(self.errors, self.doubt, strict=True)))
+        least = Errors(
+            *(error - uncertainty for error, uncertainty in zip(self.errors, self.uncertainty, strict=True))
+        )
         return not self.kept and least.are_within(self.tolerance)
 
 
@@ -102,7 +104,7 @@ class World:
     ----------
     seed, sonar, pose
     truth : Ping of the reference
-    doubt : Errors, how far off the truth may be: its halves differ by twice that
+    uncertainty : Errors, how far off the truth may be: its halves differ by twice that
     """
 
     def __init__(self, seed: int, truth_error: float = TRUTH_ERROR):
@@ -110,7 +112,7 @@ class World:
         self._acoustics = sg.Acoustics.physical() if seed % 2 else sg.Acoustics.ideal()
         what = self._scene, self.sonar, self.pose, self._acoustics
         self.truth = sg.reference_ping(*what, truth_error, MOST_RAYS)
-        self.doubt = Errors(self.truth.meta["difference"] / 2, self.truth.meta["body_difference"] / 2)
+        self.uncertainty = Errors(self.truth.meta["difference"] / 2, self.truth.meta["body_difference"] / 2)
         self._errors_at = {}
 
     def simulator(self, **samples) -> sg.Simulator:
@@ -149,7 +151,7 @@ def try_plan(world: World, tolerance: float) -> Outcome:
     """Return the outcome of a planned ping, without its cost."""
     with planned(world, tolerance) as (simulator, plan):
         errors = world.errors(simulator.ping(world.pose, labels=True))
-    return Outcome(world.seed, tolerance, plan.met, plan.error_estimate, errors, world.doubt)
+    return Outcome(world.seed, tolerance, plan.met, plan.error_estimate, errors, world.uncertainty)
 
 
 def try_plan_and_cost(world: World, tolerance: float) -> Outcome:
@@ -176,7 +178,7 @@ def try_alone(world: World, tolerance: float) -> Outcome:
     cost = Cost(level, own_ms, plan.level, other_ms)
     estimate = ping.error_estimate
     return Outcome(
-        world.seed, tolerance, estimate <= tolerance, estimate, world.errors(ping), world.doubt, cost
+        world.seed, tolerance, estimate <= tolerance, estimate, world.errors(ping), world.uncertainty, cost
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.beam_pattern import ArrayPattern, FarPattern, gaussian_pattern, line_array_pattern
 from sonar_gl.acoustics.pulse import PulseResponse, bin_weights, resolution_cell_m
@@ -278,7 +279,7 @@ class Acoustics:
             )
         if self.multipath != "none" and water.wave_height_m() != self.water.wave_height_m():
             raise Error(
-                "the wind must not change where there is multipath, since waves decide whether the surface is a mirror "
+                "the wind must not change where there is multipath, since waves decide whether the surface reflects "
                 f'(got wind_speed_m_s = {water.wind_speed_m_s} for {self.water.wind_speed_m_s}; give multipath="none", '
                 "or make one Simulator for each wind)"
             )
@@ -305,7 +306,7 @@ class Acoustics:
             return 1.0
         return self.sonar_sound_speed_m_s / self.water.sound_speed()
 
-    def true_range_sonar(self, sonar) -> Sonar:
+    def true_range_sonar(self, sonar: Sonar) -> Sonar:
         """Return the sonar whose bins lie at true ranges, and whose aperture is the main lobe in elevation.
 
         Parameters
@@ -320,7 +321,7 @@ class Acoustics:
 
     # ---- range gain ---------------------------------------------------------------------------------------
 
-    def range_gain(self, range_m, sonar) -> np.ndarray:
+    def range_gain(self, range_m: ArrayLike, sonar: Sonar) -> np.ndarray:
         """Return the range gain G(r): two-way transmission loss and TVG, or the law of another profile.
 
         The transmission loss depends on the true range; the TVG and the laws "constant" and "printed" depend on the
@@ -345,7 +346,7 @@ class Acoustics:
         absorption = self._true_and_assumed_absorption(sonar)
         return sonar_equation_gain(r, self.tvg_k, *absorption, self.shown_per_true())
 
-    def tvg(self, range_m, sonar) -> np.ndarray:
+    def tvg(self, range_m: ArrayLike, sonar: Sonar) -> np.ndarray:
         """Return the TVG without the transmission loss; 1 for range laws other than "sonar_equation".
 
         Ranges below 1 mm count as 1 mm, and the gain stays within 10^±30.
@@ -384,7 +385,7 @@ class Acoustics:
         """Number of scatterers per cubic metre of the water, as far as the model includes them; None for many."""
         return self.water.scatterer_density_m3 if self.volume_reverberation else None
 
-    def surface_backscatter(self, sonar) -> Callable | None:
+    def surface_backscatter(self, sonar: Sonar) -> Callable | None:
         """Return the backscatter of the water's surface; None if the model does not include it.
 
         Parameters
@@ -407,7 +408,7 @@ class Acoustics:
 
     # ---- beam patterns ------------------------------------------------------------------------------------
 
-    def receive_pattern(self, sonar) -> Callable | None:
+    def receive_pattern(self, sonar: Sonar) -> Callable | None:
         """Return the receive beam pattern in azimuth; None for a box.
 
         Parameters
@@ -447,7 +448,7 @@ class Acoustics:
             **settings,
         )
 
-    def has_cones(self, sonar) -> bool:
+    def has_cones(self, sonar: Sonar) -> bool:
         """Return whether beams are cones: those of one straight array, unless they are boxes.
 
         Lenses, curved arrays and arrays of several faces have upright beams; so have fans that look further aside than
@@ -462,7 +463,7 @@ class Acoustics:
         widest_deg = float(np.degrees(np.abs(sonar.azimuth_rad).max()))
         return sonar.is_straight_array and widest_deg <= MAX_STEER_DEG
 
-    def far_pattern(self, sonar) -> FarPattern | None:
+    def far_pattern(self, sonar: Sonar) -> FarPattern | None:
         """Return what beams receive beyond `receive_support_rad`; None if nothing."""
         if not (self.far_side_lobes and self.beam_pattern == "line_array"):
             return None
@@ -478,7 +479,7 @@ class Acoustics:
         level_db = sonar.element_error_db
         return 10 ** (level_db / 10) if self.far_side_lobes and level_db is not None else 0.0
 
-    def receive_support_rad(self, sonar) -> float:
+    def receive_support_rad(self, sonar: Sonar) -> float:
         """Return the half-width of the receive pattern's support, radians; beyond it are the far side lobes alone.
 
         A box ends at half its width, a line array at its 4th null (see `ArrayPattern.support_sine`), and a Gaussian
@@ -501,7 +502,7 @@ class Acoustics:
             support = max(support, float(away.max()), float(inward.max()))
         return support
 
-    def receive_widths_rad(self, sonar, azimuth_rad) -> np.ndarray:
+    def receive_widths_rad(self, sonar: Sonar, azimuth_rad: ArrayLike) -> np.ndarray:
         """Return the −3 dB widths of receive beams at these azimuths, radians, in the plane of the fan.
 
         >>> from sonar_gl.sonar.sonar import load_sonar
@@ -515,7 +516,7 @@ class Acoustics:
         edges = np.sin(azimuth_rad) + math.sin(width / 2) * np.array([[-1.0], [1.0]])
         return np.diff(np.arcsin(np.clip(edges, -1.0, 1.0)), axis=0)[0]
 
-    def null_rad(self, sonar) -> float:
+    def null_rad(self, sonar: Sonar) -> float:
         """Return the shortest period over azimuth of receive and transmit pattern together, radians; 0 for a box.
 
         Without a transmit beam, it is the distance of two nulls of the receive pattern.
@@ -534,7 +535,7 @@ class Acoustics:
             per_rad += 1 / pattern.null_sine()  # the periods of a product
         return 1 / per_rad
 
-    def transmit_pattern(self, sonar) -> Callable | None:
+    def transmit_pattern(self, sonar: Sonar) -> Callable | None:
         """Return the transmit beam pattern in azimuth; None if the fan is insonified evenly.
 
         Parameters
@@ -556,7 +557,7 @@ class Acoustics:
         settings = {"taper": sonar.transmit_taper, "side_lobe_db": sonar.side_lobe_db}
         return partial(line_array_pattern, steer_azimuth_rad=0.0, beam_width_rad=width, **settings)
 
-    def two_way_elevation_pattern(self, sonar) -> Callable | None:
+    def two_way_elevation_pattern(self, sonar: Sonar) -> Callable | None:
         """Return the two-way beam pattern in elevation; None for a box.
 
         Transmitter and receiver have the same pattern, upright and not steered.
@@ -577,7 +578,7 @@ class Acoustics:
         one_way = self.one_way_elevation_pattern(sonar)
         return None if one_way is None else lambda sine: one_way.power(sine) ** 2
 
-    def one_way_elevation_pattern(self, sonar) -> ArrayPattern | None:
+    def one_way_elevation_pattern(self, sonar: Sonar) -> ArrayPattern | None:
         """Return the beam pattern in elevation of the transmitter or the receiver alone; None for a box.
 
         Noise of the water is received by it, echoes by the two-way pattern.
@@ -594,7 +595,7 @@ class Acoustics:
             self.elevation_pattern, width, sonar.elevation_taper, sonar.side_lobe_db, two_way_width=True
         )
 
-    def elevation_support_deg(self, sonar) -> float:
+    def elevation_support_deg(self, sonar: Sonar) -> float:
         """Return the half-width of the elevation pattern's main lobe, degrees above and below the boresight.
 
         The main lobe ends where the two-way power is ELEVATION_SUPPORT_LEVEL; a box ends at half its aperture.
@@ -610,7 +611,7 @@ class Acoustics:
         sine = self.one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(ELEVATION_SUPPORT_LEVEL))
         return max(half_width, min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG))
 
-    def dense_elevation_deg(self, sonar) -> float:
+    def dense_elevation_deg(self, sonar: Sonar) -> float:
         """Return the elevation, degrees, beyond which the two-way pattern is so weak that coarse samples do.
 
         >>> from sonar_gl.sonar.sonar import load_sonar
@@ -622,7 +623,7 @@ class Acoustics:
         sine = self.one_way_elevation_pattern(sonar).main_lobe_sine(math.sqrt(SKIRTS_LEVEL))
         return min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG)
 
-    def max_elevation_deg(self, sonar) -> float:
+    def max_elevation_deg(self, sonar: Sonar) -> float:
         """Return the elevation beyond which nothing is received: the end of the aperture, or of the side lobes.
 
         >>> from sonar_gl import load_sonar
@@ -638,7 +639,7 @@ class Acoustics:
 
     # ---- pulse --------------------------------------------------------------------------------------------
 
-    def pulse_weights(self, sonar) -> np.ndarray | None:
+    def pulse_weights(self, sonar: Sonar) -> np.ndarray | None:
         """Return the kernel of the matched filter over bins, by `sonar_gl.acoustics.pulse.bin_weights`; None without.
 
         Returns
@@ -647,7 +648,7 @@ class Acoustics:
         """
         return bin_weights(sonar.bin_size_m, *self.pulse_response(sonar)) if self.pulse else None
 
-    def pulse_level(self, sonar) -> float:
+    def pulse_level(self, sonar: Sonar) -> float:
         """Return the factor of the matched filter on the sum of an echo: resolution cell over bin, 1 at least.
 
         >>> from sonar_gl.sonar.sonar import load_sonar
@@ -657,7 +658,7 @@ class Acoustics:
         cells = resolution_cell_m(*self.pulse_response(sonar)) / sonar.bin_size_m if self.pulse else 1.0
         return cells if cells > 1 + 1e-9 else 1.0  # a cell as long as a bin is so but for rounding
 
-    def pulse_response(self, sonar) -> PulseResponse:
+    def pulse_response(self, sonar: Sonar) -> PulseResponse:
         """Return bandwidth and taper of the pulse, and the speed of sound.
 
         >>> from sonar_gl.sonar.sonar import load_sonar

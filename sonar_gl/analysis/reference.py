@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl._version import __version__
 from sonar_gl.acoustics.acoustics import Acoustics
@@ -50,7 +51,7 @@ WIDEST_DEG = 16.0  # limits the distance of nodes for wide beams, whose patterns
 def reference_ping(
     scene: Scene,
     sonar: Sonar,
-    pose,
+    pose: ArrayLike,
     acoustics: Acoustics | None = None,
     error: float = 0.01,
     max_rays: int = MAX_RAYS,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import Water
@@ -501,7 +502,11 @@ def price(
 
 
 def needed_acoustics(
-    scene, sonar, tolerance: float = 0.01, pose=None, water: Water | None = None
+    scene: Scene | Simulator,
+    sonar: Sonar,
+    tolerance: float = 0.01,
+    pose: ArrayLike | Sequence[ArrayLike] | None = None,
+    water: Water | None = None,
 ) -> Acoustics:
     """Return `Acoustics.physical` with only those terms on that a scene needs.
 

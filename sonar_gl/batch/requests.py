@@ -472,7 +472,7 @@ def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
     if "wind_speed_m_s" in vary.water and acoustics.multipath != "none":
         raise Error(
             f"{where}: vary.water.wind_speed_m_s and acoustics.multipath exclude each other (got both; waves decide "
-            "whether the surface is a mirror; leave one out)"
+            "whether the surface reflects; leave one out)"
         )
 
 

@@ -235,7 +235,7 @@ class Beamformer:
 
     @cached_property
     def received_u(self) -> tuple[np.ndarray, ...]:
-        """Of each sector (2n,) float64, rising: u between which samples lie that a beam takes; empty where all do.
+        """The u between which samples lie that a beam takes: (2n,) float64 a sector, rising; empty where all do.
 
         Boxes that are narrower than their spacing leave gaps.
         """

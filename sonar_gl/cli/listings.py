@@ -13,7 +13,7 @@ from sonar_gl.scene.load import bundled_scenes, scene_description
 from sonar_gl.scene.materials import Material, materials
 from sonar_gl.sonar.sonar import presets
 
-LEAST_ECHO = 1e-6  # listed; a perfect mirror has no diffuse part, and next to nothing off its lobe
+LEAST_ECHO = 1e-6  # listed; a perfect reflector has no diffuse part, and next to nothing off its lobe
 MATERIALS_NOTE = """\
 impedance: over that of the water. |R|^2: intensity reflection coefficient at normal incidence,
 the sum of a diffuse part and of a specular lobe, whose width is the rms slope of the facets. The

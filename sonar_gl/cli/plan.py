@@ -12,7 +12,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.analysis.terms import TURNS, needed_acoustics, price
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from, water_from
-from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
+from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text, tolerance_text
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.engine.flow import Plan
@@ -105,13 +105,13 @@ def plan_text(found: dict) -> str:
     met = "can be met" if found["met"] else f"can NOT be met: {CURE}"
     lines = [("poses", str(found["poses"]))] if found["poses"] > 1 else []
     lines += [
-        ("tolerance", f"{percent(found['tolerance'])} {met}"),
+        ("tolerance", f"{tolerance_text(found['tolerance'])} {met}"),
         ("samples", f"{found['samples']}, with {columns:.4g} columns per beam x {rows} rows in the aperture"),
     ]
     if found["has_echo"]:
-        name, off = found["worst_body"], percent(found["worst_body_estimate"])
+        name, (error, off) = found["worst_body"], _estimates(found)
         lines += [
-            ("error", f"{percent(found['error_estimate'])} of the echo, estimated"),
+            ("error", f"{error} of the echo, estimated"),
             ("worst body", f"{name!r}, its own echo off by {off}, estimated" if name else "none"),
             ("bound by", BOUND_BY[found["bound_by"]]),
         ]
@@ -124,14 +124,22 @@ def plan_text(found: dict) -> str:
     return "\n\n".join(texts)
 
 
+def _estimates(facts: dict) -> tuple[str, str]:
+    """Return the estimated errors of the whole ping and of the worst body; each shows whether it breaks its bound."""
+    tolerance = facts["tolerance"]
+    return (
+        percent(facts["error_estimate"], tolerance),
+        percent(facts["worst_body_estimate"], WORST_BODY * tolerance),
+    )
+
+
 def _plans_text(found: dict) -> str:
     """Return the table of the plans for half the tolerance, the tolerance and twice the tolerance."""
     rows = [
         (
-            percent(facts["tolerance"]),
+            tolerance_text(facts["tolerance"]),
             str(facts["samples"]),
-            percent(facts["error_estimate"]),
-            percent(facts["worst_body_estimate"]),
+            *_estimates(facts),
             f"{facts['time_ms']:.2f}",
             f"{facts['time_ratio']:.2f}",
             "yes" if facts["met"] else "no",

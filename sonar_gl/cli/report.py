@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+from sonar_gl.core.checks import text_beside
 from sonar_gl.core.errors import one_line
 from sonar_gl.ping import Ping
 
@@ -35,10 +38,21 @@ def table_text(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join(lines)
 
 
-def percent(share: float) -> str:
-    """Return a share as per cent, with two significant digits.
+def percent(share: float, bound: float = math.inf) -> str:
+    """Return a share as per cent, with two significant digits, or with as many as show that it exceeds a bound.
 
-    >>> percent(0.0123), percent(1.5)
-    ('1.2 %', '150 %')
+    >>> percent(0.0123), percent(1.5), percent(0.02004, 0.02)
+    ('1.2 %', '150 %', '2.004 %')
     """
-    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+    if share >= 0.995:
+        return f"{100 * share:.0f} %"
+    return f"{text_beside(100 * share, 100 * bound, digits=2)} %"
+
+
+def tolerance_text(tolerance: float) -> str:
+    """Return a tolerance as per cent, as it was given.
+
+    >>> tolerance_text(0.0125)
+    '1.25 %'
+    """
+    return f"{100 * tolerance:g} %"

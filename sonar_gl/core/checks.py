@@ -194,6 +194,17 @@ def number_text(value) -> str:
     return shown(value) if is_whole_number(value) else f"{value:g}"
 
 
+def text_beside(value: float, bound: float, digits: int = 3) -> str:
+    """Return a number as text of so many digits, or of as many more as a number above a bound needs to read so.
+
+    >>> text_beside(0.0345678, 0.02), text_beside(0.0200021, 0.02), text_beside(0.0199999, 0.02)
+    ('0.0346', '0.020002', '0.02')
+    """
+    while value > bound >= float(f"{value:.{digits}g}") and digits < 17:
+        digits += 1
+    return f"{value:.{digits}g}"
+
+
 def check_number(what: str, value, low: float = -math.inf, high: float = math.inf, hint: str = "") -> float:
     """Return `value` as a float.
 

@@ -37,7 +37,7 @@ class Error(ValueError):
     The message states what must hold, what was given instead, where, and what to do. It is safe to print.
     """
 
-    def __init__(self, message):
+    def __init__(self, message: object):
         super().__init__(escape_controls(str(message)))
 
 

@@ -73,7 +73,9 @@ def pose_numbers(matrix: np.ndarray) -> tuple[float, ...]:
     return (*matrix[:3, 3].tolist(), float(roll), float(pitch), float(yaw))
 
 
-def pose(x=0.0, y=0.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0) -> np.ndarray:
+def pose(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
+) -> np.ndarray:
     """Return `world_from_sonar` for SDF's six numbers: metres, and fixed-axis x-y-z angles in radians.
 
     Convention: R = Rz(yaw) Ry(pitch) Rx(roll), x forward, y left (port), z up.

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind, frozen_array, is_number, is_whole_number
@@ -82,7 +83,14 @@ class Camera:
         object.__setattr__(self, "rotation", R)
 
     @classmethod
-    def of_fov(cls, width: int, height: int, fov_x_rad=None, fov_y_rad=None, rotation=None) -> Camera:
+    def of_fov(
+        cls,
+        width: int,
+        height: int,
+        fov_x_rad: float | None = None,
+        fov_y_rad: float | None = None,
+        rotation: ArrayLike | None = None,
+    ) -> Camera:
         """Return a camera of this field of view, from edge to edge; with one angle None pixels are square.
 
         >>> Camera.of_fov(640, 480, fov_x_rad=math.pi / 2).intrinsics[0].tolist()
@@ -97,7 +105,9 @@ class Camera:
         return cls(width, height, K, rotation)
 
     @classmethod
-    def of_projection(cls, matrix, width: int, height: int, rotation=None) -> Camera:
+    def of_projection(
+        cls, matrix: ArrayLike, width: int, height: int, rotation: ArrayLike | None = None
+    ) -> Camera:
         """Return the camera of an OpenGL projection; the first row of the image is the top one.
 
         Parameters
@@ -179,7 +189,7 @@ class Camera:
         """(3, 3) matrix from the sonar's frame to homogeneous pixels; the third number is the distance ahead."""
         return self.intrinsics @ self.rotation.T
 
-    def sees(self, directions) -> np.ndarray:
+    def sees(self, directions: ArrayLike) -> np.ndarray:
         """Return whether directions, (..., 3) in the sonar's frame, lie in the image: (...) bool."""
         i, j, ahead = np.moveaxis(np.asarray(directions) @ self.pixel_from_sonar.T, -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -226,13 +236,13 @@ class Camera:
             )
         return clip
 
-    def pose_gl(self, world_from_sonar) -> np.ndarray:
+    def pose_gl(self, world_from_sonar: ArrayLike) -> np.ndarray:
         """Return (4, 4) world_from_camera in OpenGL's axes (x right, y up, z back), as pyrender expects it."""
         out = check_pose(world_from_sonar).copy()
         out[:3, :3] = out[:3, :3] @ self.rotation @ OPTICAL_FROM_OPENGL
         return out
 
-    def sonar_pose(self, world_from_camera) -> np.ndarray:
+    def sonar_pose(self, world_from_camera: ArrayLike) -> np.ndarray:
         """Return (4, 4) world_from_sonar for a camera pose in OpenGL's axes: the inverse of `pose_gl`."""
         out = check_pose(world_from_camera, "world_from_camera").copy()
         out[:3, :3] = out[:3, :3] @ (self.rotation @ OPTICAL_FROM_OPENGL).T

@@ -8,13 +8,14 @@ There are four embedding modes. This module implements three: the host draws the
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import make_beamformer
@@ -24,6 +25,7 @@ from sonar_gl.core.errors import Error, closed_error, copied_error, other_proces
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread, ThreadLock
+from sonar_gl.embed.camera import Camera
 from sonar_gl.embed.camera_rig import CameraRig
 from sonar_gl.embed.depth_images import (
     MAX_BODY_ID,
@@ -140,7 +142,7 @@ class Sensor:
         self._rigs, self._lock = {}, ThreadLock(IN_USE)
         self._process, self._is_closed = os.getpid(), False
 
-    def sectors(self, pose, near_m: float = NEAR_M) -> list[DrawnSector]:
+    def sectors(self, pose: ArrayLike, near_m: float = NEAR_M) -> list[DrawnSector]:
         """Return the sectors for the host to draw, as seen from `pose`, in the current OpenGL context.
 
         Parameters
@@ -162,7 +164,8 @@ class Sensor:
         return self._drawing.make_sectors(pose)
 
     def finish(
-        self, bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None, label_level_db=None
+        self, bodies: Iterable[str] = (), noise: Noise | None = None, seed: int = 0, labels: bool = False,
+        ping_number: int = 0, velocity: ArrayLike | None = None, label_level_db: float | None = None,
     ) -> Ping:  # fmt: skip
         """Return the ping of the sectors that the host has drawn; parameters as for `ping_from_depth`.
 
@@ -182,9 +185,13 @@ class Sensor:
             return self._ping(request, drawing.stage, samples, origin, drawing.advice())
 
     def ping_from_textures(
-        self, depth, projection, pose=None, holds="z-buffer", zero_to_one=False, rotation=None, normals=None,
-        body_id=None, reflectivity=DEFAULT_REFLECTIVITY, bodies=(), noise=None, seed=0, labels=False, ping_number=0,
-        velocity=None, label_level_db=None,
+        self, depth: int | Sequence[int], projection: ArrayLike | Sequence[ArrayLike], pose: ArrayLike | None = None,
+        holds: str = "z-buffer", zero_to_one: bool = False,
+        rotation: ArrayLike | Sequence[ArrayLike] | None = None, normals: int | Sequence[int] | None = None,
+        body_id: int | Sequence[int] | None = None,
+        reflectivity: ArrayLike | Sequence[ArrayLike] | dict[int, float] = DEFAULT_REFLECTIVITY,
+        bodies: Iterable[str] = (), noise: Noise | None = None, seed: int = 0, labels: bool = False,
+        ping_number: int = 0, velocity: ArrayLike | None = None, label_level_db: float | None = None,
     ) -> Ping:  # fmt: skip
         """Return a ping of textures that the host drew at the sonar's position, in the current OpenGL context.
 
@@ -220,8 +227,13 @@ class Sensor:
         return self._ping_of_images(request, *checked, kind, origin)
 
     def ping_from_depth(
-        self, depth, camera, pose=None, holds="planar", normals=None, body_id=None, reflectivity=DEFAULT_REFLECTIVITY,
-        bodies=(), noise=None, seed=0, labels=False, ping_number=0, velocity=None, label_level_db=None,
+        self, depth: ArrayLike | Sequence[ArrayLike], camera: Camera | Sequence[Camera],
+        pose: ArrayLike | None = None, holds: str = "planar",
+        normals: ArrayLike | Sequence[ArrayLike] | None = None,
+        body_id: ArrayLike | Sequence[ArrayLike] | None = None,
+        reflectivity: ArrayLike | Sequence[ArrayLike] | dict[int, float] = DEFAULT_REFLECTIVITY,
+        bodies: Iterable[str] = (), noise: Noise | None = None, seed: int = 0, labels: bool = False,
+        ping_number: int = 0, velocity: ArrayLike | None = None, label_level_db: float | None = None,
     ) -> Ping:  # fmt: skip
         """Return a ping of depth images rendered at the sonar's position.
 
@@ -407,7 +419,12 @@ def _cached_sensor(sonar, acoustics, sampling, process: int) -> Sensor:
 
 
 def ping_from_depth(
-    depth, sonar, camera, acoustics: Acoustics | None = None, sampling: Sampling | None = None, **more
+    depth: ArrayLike | Sequence[ArrayLike],
+    sonar: Sonar,
+    camera: Camera | Sequence[Camera],
+    acoustics: Acoustics | None = None,
+    sampling: Sampling | None = None,
+    **more,
 ) -> Ping:
     """Return a ping of depth images that another program rendered at the sonar's position.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.core.checks import frozen_array, is_whole_number
 from sonar_gl.core.compiled import compiled
@@ -159,7 +160,7 @@ def _read_texture(gl, name, form: TextureFormat, argument: str) -> np.ndarray:
     return out[::-1]
 
 
-def metres_ahead(z_buffer, projection, zero_to_one: bool = False) -> np.ndarray:
+def metres_ahead(z_buffer: ArrayLike, projection: ArrayLike, zero_to_one: bool = False) -> np.ndarray:
     """Convert a z-buffer to metres along the camera's axis, (H, W) float32; 0 where nothing was drawn.
 
     Parameters

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.core.checks import text_beside
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.error_model import COARSER, Judgement
@@ -21,7 +22,7 @@ from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.replan_trigger import ReplanTrigger
 from sonar_gl.engine.stage import StageCache
-from sonar_gl.sonar.sampling import LEVELS_PER_HALF, ToleranceWarning, sampling_at
+from sonar_gl.sonar.sampling import LEVELS_PER_HALF, WORST_BODY, ToleranceWarning, sampling_at
 
 CHECK_CHANGE = 0.2  # of the whole echo
 # A ping may cost so many times the median of so many before it; what takes the time of a ping beside its samples costs
@@ -304,11 +305,13 @@ class AdaptiveSampling:
             return
         columns = plan.sampling.columns_per_beam * self._sonar.n_beams
         name = f" ({self._model.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
+        body_bound = WORST_BODY * self.tolerance
         warn_caller(
             f"tolerance {self.tolerance:g} cannot be met here: with the most samples that fit, "
-            f"{columns:.0f} x {plan.sampling.rows}, the estimate is {plan.error_estimate:.3g}, and "
-            f"{plan.worst_body_estimate:.3g} for the worst body{name}; go nearer, narrow the fan, or ask "
-            "for a larger tolerance",
+            f"{columns:.0f} x {plan.sampling.rows}, the estimate is "
+            f"{text_beside(plan.error_estimate, self.tolerance)}, and "
+            f"{text_beside(plan.worst_body_estimate, body_bound)} for the worst body{name}; go nearer, narrow the "
+            "fan, or ask for a larger tolerance",
             ToleranceWarning,
         )
         self._has_warned = True

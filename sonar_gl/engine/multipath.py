@@ -90,12 +90,12 @@ class ImagePose(NamedTuple):
 def image_pose(plane) -> ImagePose:
     """Return the sonar's image behind a plane, (4,) normal and offset in the sonar's frame."""
     normal, offset = plane[:3], float(plane[3])
-    mirror = np.eye(4)  # its own inverse
-    mirror[:3, :3] -= 2 * np.outer(normal, normal)
-    mirror[:3, 3] = 2 * offset * normal
+    reflection = np.eye(4)  # its own inverse
+    reflection[:3, :3] -= 2 * np.outer(normal, normal)
+    reflection[:3, 3] = 2 * offset * normal
     # seen from the image, the plane lies as far behind it as before the sonar, with port and starboard exchanged
     clip_plane = np.array([normal[0], -normal[1], normal[2], -offset - BIAS_M])
-    return ImagePose(mirror @ SWAPPED, SWAPPED @ mirror, clip_plane)
+    return ImagePose(reflection @ SWAPPED, SWAPPED @ reflection, clip_plane)
 
 
 @dataclass(frozen=True, eq=False)

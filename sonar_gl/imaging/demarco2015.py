@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import (
@@ -40,7 +41,7 @@ _CLOUD_STREAM, _SALT_AND_PEPPER_STREAM = 1, 2
 
 def demarco_image(
     simulator,
-    pose,
+    pose: ArrayLike,
     seed: int = 0,
     noise: Noise | None = None,
     height: int = 600,

@@ -48,7 +48,7 @@ def output_folder(path) -> Path:
     return folder
 
 
-def save_png(path, picture: np.ndarray) -> None:
+def save_png(path: str | os.PathLike, picture: np.ndarray) -> None:
     """Write a picture as PNG.
 
     Parameters
@@ -83,7 +83,7 @@ def png_bytes(picture: np.ndarray) -> bytes:
     return data.tobytes()
 
 
-def save_npz(path, ping: Ping) -> None:
+def save_npz(path: str | os.PathLike, ping: Ping) -> None:
     """Write a ping's arrays under the names of its fields, and `meta` as JSON text.
 
     `meta` holds the fields of the ping's `sonar` and `acoustics`, from which `load_npz` makes them again. The
@@ -130,7 +130,7 @@ def npz_bytes(ping: Ping) -> bytes:
     return data.getvalue()
 
 
-def load_npz(path) -> Ping:
+def load_npz(path: str | os.PathLike) -> Ping:
     """Return the ping that `save_npz` wrote; its arrays are read-only.
 
     Raises Error if the file holds no ping, or a small file claims arrays of more than 1 GB. Warns if `meta`
@@ -203,7 +203,7 @@ def check_fps(fps, film: str) -> float:
     return fps
 
 
-def save_animation(path, frames: Iterable[np.ndarray], fps: float) -> None:
+def save_animation(path: str | os.PathLike, frames: Iterable[np.ndarray], fps: float) -> None:
     """Write pictures as an animation: .gif, which loops, or .mp4.
 
     Parameters

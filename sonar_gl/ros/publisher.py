@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind, check_whole_number, unknown_body_error
@@ -276,7 +277,7 @@ class Publisher:
             self._n_pings, self._n_dropped, self._n_failed, self._n_jumps, self._refused.total
         )
 
-    def step(self, time_s: float, pose=None, bodies: dict | None = None) -> StepResult:
+    def step(self, time_s: float, pose: ArrayLike | None = None, bodies: dict | None = None) -> StepResult:
         """Tell the time and, where no messages do, the poses; ping if the sonar's time has come.
 
         Parameters
@@ -298,7 +299,7 @@ class Publisher:
         """
         return self.step_at(nanoseconds(time_s), pose, bodies)
 
-    def step_at(self, time_ns: int, pose=None, bodies: dict | None = None) -> StepResult:
+    def step_at(self, time_ns: int, pose: ArrayLike | None = None, bodies: dict | None = None) -> StepResult:
         """Do what `step` does, at a time in nanoseconds, a whole number."""
         if os.getpid() != self._process:  # a forked process lacks the thread of the simulation
             raise other_process_error("Publisher")

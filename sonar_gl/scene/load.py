@@ -7,6 +7,7 @@ import html
 import os
 import re
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ def scene_description(path) -> str:
     return ""
 
 
-def load_scene(what, resource_paths=(), skip_missing: bool = False) -> Scene:
+def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_missing: bool = False) -> Scene:
     """Load a scene by a bundled name, from a file, or from an object of trimesh, pyrender or MuJoCo.
 
     Parameters

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.core.checks import (
     ArraysStayReadOnly,
@@ -96,7 +97,7 @@ class Bubbles(ArraysStayReadOnly):
         """Return the time that the slowest bubble needs to rise to the top."""
         return self.height_m / (MIN_SPEED_RATIO * self.rise_m_s)
 
-    def at(self, time_s: float, pose=None) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, time_s: float, pose: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the places and radii of the bubbles at a time.
 
         Parameters

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.core.checks import frozen_array
 from sonar_gl.core.errors import Error, errors_at
@@ -12,13 +14,23 @@ from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.primitives import Shape, make_shape
 from sonar_gl.scene.scene import Body
 
+if TYPE_CHECKING:
+    import trimesh
+
 MAX_EDGE_TEXELS = 1.5  # longer edges are split; the diagonal of a texel, √2, is not
 MAX_FACES = 2_000_000
 SPLITS_OF_MEAN = 4  # the mean over a face is taken at the centres of 4² equal parts
 
 
 def textured_body(
-    name: str, mesh, image, uv=None, pose=None, normals=None, specular=None, roughness_rad=None
+    name: str,
+    mesh: trimesh.Trimesh,
+    image: ArrayLike | str | Path,
+    uv: ArrayLike | None = None,
+    pose: ArrayLike | None = None,
+    normals: ArrayLike | None = None,
+    specular: float | None = None,
+    roughness_rad: float | None = None,
 ) -> Body:
     """Return a body whose reflectivity is an image on its mesh.
 

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.core.checks import ArraysStayReadOnly, check_kind, check_number, frozen_array, shown
 from sonar_gl.core.errors import Error, errors_at, nearest_of_many
@@ -265,7 +266,7 @@ class Scene(ArraysStayReadOnly):
     def __init__(
         self,
         bodies: Iterable[Body | Bubbles],
-        sonar_pose=None,
+        sonar_pose: ArrayLike | None = None,
         name: str = "scene",
         surface_z_m: float | None = None,
         surface_roughness_m: float = 1e-4,

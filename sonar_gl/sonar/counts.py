@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sonar_gl.core.checks import (
     check_choice,
@@ -208,7 +209,7 @@ class Counts:
         """Return shares of full scale, float 0..1, as counts, uint8 or uint16."""
         return (share * np.float32(self.full_scale) + np.float32(0.5)).astype(f"uint{self.bits}")
 
-    def intensity_of(self, counts) -> np.ndarray:
+    def intensity_of(self, counts: ArrayLike) -> np.ndarray:
         """Return the intensities, float32, that give these counts, which may be fractions of a count.
 
         What was clipped is lost: full scale stands for all that is above it, and in the law "db" 0 for all below.

@@ -130,7 +130,7 @@ def test_differences_are_those_of_pings_by_hand():
 
 
 @pytest.mark.slow
-def test_a_mirror_that_coarse_samples_hardly_meet_counts():
+def test_a_reflector_that_coarse_samples_hardly_meet_counts():
     """Two faces of the pylons and the water's surface reflect 1.2 % of the echo; samples for 5 % lose one of them.
 
     Concrete and sand would be too rough to reflect, so that the bodies have no material here.

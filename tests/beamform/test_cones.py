@@ -366,12 +366,12 @@ def test_a_mirrored_world_has_a_mirrored_picture(multipath):
 
 
 def test_multipath_echoes_come_from_the_cones_of_their_images():
-    """The image of a ball behind a mirror is shown where a ball at the image's place would be."""
+    """The image of a ball behind a planar reflector is shown where a ball at the image's place would be."""
     floor = trimesh.creation.box((60.0, 60.0, 1.0))
     place = np.array([6.0, 7.0, -2.0])
     depth_m = 4.0
     bodies = [
-        sg.Body("mirror", floor, sg.pose(10, 0, -depth_m - 0.5), 0.0, material="steel"),
+        sg.Body("reflector", floor, sg.pose(10, 0, -depth_m - 0.5), 0.0, material="steel"),
         sg.Body("ball", trimesh.creation.icosphere(3, 0.4), sg.pose(*place), 0.8),
     ]
     acoustics = replace(

@@ -134,10 +134,8 @@ def test_pieces_follow_from_bins_range_and_aperture():
 )
 def test_no_bit_depends_on_what_was_in_memory_beside_a_strip(acoustics, value, monkeypatch):
     """Loops over strips do a few samples more than there are."""
-    mirror = sg.Body(
-        "mirror", trimesh.creation.box((6.0, 0.2, 6.0)), sg.pose(y=3.5, z=-2.0), material="steel"
-    )
-    bodies = [TANK, mirror]
+    plate = sg.Body("plate", trimesh.creation.box((6.0, 0.2, 6.0)), sg.pose(y=3.5, z=-2.0), material="steel")
+    bodies = [TANK, plate]
     clean = ping_of(bodies, acoustics, labels=True)
     make_work = kernels.make_work
 

@@ -200,7 +200,7 @@ def test_it_is_off_without_wind_surface_or_by_profile_and_the_water_of_a_ping_de
 
 
 def test_waves_end_multipath_by_the_surface():
-    """A breeze of 3 m/s makes waves of 5 cm, from which nothing at 900 kHz is reflected as by a mirror."""
+    """A breeze of 3 m/s makes waves of 5 cm, from which nothing at 900 kHz is reflected as by a plane."""
     ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.5), sg.pose(16, 0, 2.0), reflectivity=0.5)
     scene, pose = sg.Scene([ball], surface_z_m=3.0), at(0.7)
     totals = {}
@@ -218,7 +218,7 @@ def test_waves_end_multipath_by_the_surface():
 def test_water_from_text_and_wrong_winds():
     assert sg.Water.parse("wind_speed_m_s=7").wind_speed_m_s == 7
     assert sg.Water().wave_height_m() == 0
-    # facets are never smoother than at 1 m/s: a calm surface, which is a mirror, would scatter as well
+    # facets are never smoother than at 1 m/s: a calm surface, which is a planar reflector, would scatter as well
     with pytest.raises(Error, match="leave it out for a calm surface"):
         sg.Water(wind_speed_m_s=0.0)
     with pytest.raises(Error, match="water: wind_speed_m_s must lie in 1"):
@@ -227,7 +227,7 @@ def test_water_from_text_and_wrong_winds():
         sg.Acoustics.physical(wind_speed_m_s=7.0)
 
 
-def test_the_wind_of_a_ping_must_be_that_of_the_simulator_where_the_surface_may_be_a_mirror():
+def test_the_wind_of_a_ping_must_be_that_of_the_simulator_where_the_surface_may_reflect():
     calm = sg.Acoustics.physical(multipath="incoherent")
     with pytest.raises(Error, match="the wind must not change where there is multipath"):
         calm.in_water(WINDY)

@@ -513,7 +513,7 @@ def test_materials_lists_every_material_with_its_reflection_echo_and_source():
     # |R|² of the impedances; 10 log of 0.845 / (8 · 0.1²) + 0.031, and of 0.031 cos 60° where the lobe has ended
     assert lines["steel"] == "30.1 0.875 0.031 0.845 0.1 10.2 -18.2 0.025"
     assert lines["sand"] == lines["medium_sand"] == "2.17 0.137 0.137 - - -8.6 -11.6 rough"
-    assert lines["water_surface"].endswith(" 9.4 - 0")  # a mirror scatters nothing to 60°
+    assert lines["water_surface"].endswith(" 9.4 - 0")  # a perfect reflector scatters nothing to 60°
     assert "900 kHz" in note
     listed = " ".join(sources.split())
     assert all(one.source in listed for one in materials().values())

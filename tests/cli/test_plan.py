@@ -200,6 +200,15 @@ def test_a_tolerance_out_of_reach_has_status_1(monkeypatch):
     assert plan("--tolerance", 0.0015)["met"] is False  # and status 1
 
 
+def test_an_estimate_that_breaks_a_tolerance_does_not_read_like_it():
+    """ "2 % can NOT be met" stood above "error 2 %"."""
+    missed = {"met": False, "error_estimate": 0.05004, "worst_body_estimate": 0.2501}
+    out = costs.plan_text(plan() | missed)
+    assert "tolerance   5 % can NOT be met" in out and "error       5.004 % of the echo" in out
+    assert "off by 25.01 %, estimated" in out
+    assert table(out)[5][1:3] == ["5.004 %", "25.01 %"]
+
+
 @pytest.mark.slow
 def test_where_half_of_it_is_out_of_reach_the_table_says_so(monkeypatch):
     fine = "--tolerance", 0.004

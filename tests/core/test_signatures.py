@@ -60,6 +60,30 @@ def test_types_of_results_are_stated(name):
         assert "return" in function.__annotations__, function.__qualname__
 
 
+# Parameters without a type: why.
+UNTYPED = {
+    ("load_scene", "what"): "also objects of libraries that need not be there",
+    ("mujoco_poses", "data"): "of an optional library",
+    ("mujoco_sonar_pose", "data"): "of an optional library",
+    ("demarco_image", "simulator"): "`Simulator` is of a layer above",
+}
+
+
+@pytest.mark.parametrize("name", [*PUBLIC])
+def test_types_of_parameters_are_stated(name):
+    """Without them an editor says nothing of `simulator.ping(pose, labels="body")`."""
+    public = PUBLIC[name]
+    begins = [public.__init__] if "__init__" in vars(public) else []
+    for function in [*begins, *functions_of(public)]:
+        exempt = {parameter for owner, parameter in UNTYPED if owner == function.__name__}
+        untyped = {
+            name
+            for name, one in inspect.signature(function).parameters.items()
+            if one.annotation is one.empty and one.kind is not one.VAR_KEYWORD and not name.startswith("_")
+        }
+        assert untyped - {"self", "cls"} == exempt, function.__qualname__
+
+
 @pytest.mark.parametrize(
     "kind", [sg.Simulator, embed.Sensor, ros.Publisher, DrawnSector, LiveView, LiveSession]
 )

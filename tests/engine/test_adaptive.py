@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import re
 import warnings
 from dataclasses import replace
 
@@ -770,6 +771,20 @@ class TestPlan:
             with warnings.catch_warnings():  # the warning comes once
                 warnings.simplefilter("error")
                 simulator.ping(sg.pose(2.5))
+
+    def test_an_estimate_just_above_the_tolerance_reads_so(self, monkeypatch):
+        """It read "tolerance 0.02 cannot be met: the estimate is 0.02"."""
+        monkeypatch.setattr("sonar_gl.engine.error_model.FINEST_LEVEL", 6)
+        scene = sg.Scene([ball(x=10, radius=0.5)])
+        tolerance = 0.001
+        for _ in range(2):
+            with sg.Simulator(scene, SONAR, IDEAL, tolerance=tolerance) as simulator:
+                with pytest.warns(ToleranceWarning) as caught:
+                    simulator.ping(np.eye(4))
+                estimate = simulator.run.sampler.plan.error_estimate
+            text = re.search(r"the estimate is ([\d.e-]+), and", str(caught[0].message))[1]
+            assert tolerance < float(text) == pytest.approx(estimate, rel=0.005)
+            tolerance = estimate / 1.0002
 
     def test_a_warning_that_is_an_error_comes_of_each_ping_and_plan_and_changes_no_other(self, monkeypatch):
         """The second try gave a ping, or a plan, that does not keep the tolerance, without a word."""

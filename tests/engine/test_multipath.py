@@ -521,8 +521,8 @@ def test_a_surface_is_a_tenth_of_a_millimetre_rough_unless_given():
     for wind_m_s, half_deg in ((1.0, 1.04), (2.0, 0.26)):  # waves of wind halve the reflection there
         height_m, sine = sg.Water(wind_speed_m_s=wind_m_s).wave_height_m(), np.sin(np.radians(half_deg))
         assert np.exp(-((2 * k * height_m * sine) ** 2)) == pytest.approx(0.5, abs=0.01)
-    (mirror,) = planar_reflectors(sg.Scene([], surface_z_m=0.0, surface_roughness_m=0.0), k)
-    assert (mirror.reflection_coefficient == 1).all()
+    (reflector,) = planar_reflectors(sg.Scene([], surface_z_m=0.0, surface_roughness_m=0.0), k)
+    assert (reflector.reflection_coefficient == 1).all()
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def test_silt_speckles_more_than_a_floor_without_texture(scene, simulator, ping)
     assert contrasts == pytest.approx([np.sqrt(2), 1.0], rel=0.05)
 
 
-def test_nothing_in_the_basin_is_a_mirror(scene, simulator):
+def test_nothing_in_the_basin_is_a_planar_reflector(scene, simulator):
     """Concrete and silt are rough, and so is the surface: multipath changes nothing."""
     acoustics = sg.Acoustics.physical(multipath="incoherent")
     with sg.Simulator(scene, simulator.sonar, acoustics, simulator.sampling) as other:

@@ -367,7 +367,7 @@ def add_rubble(world):
 def make_harbour(out: Path):
     """Write a berth in a basin with a floor of silt."""
     root, world = new_world("harbour", (0, 0, BASIN + 3.2, 0, 0.22, 0))
-    note(world, "sheltered water, with ripples of 2 mm: too rough to be a mirror")
+    note(world, "sheltered water, with ripples of 2 mm: too rough to be a planar reflector")
     add(world, "sonar_gl:surface", "0", roughness="0.002")
     note(world, "soft mud with few shells and stones, which speckles more than many alike scatterers would")
     floor = model(world, "floor", (0, 0, BASIN, 0, 0, 0))

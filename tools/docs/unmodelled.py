@@ -1,14 +1,14 @@
 """Print what effects that the model leaves out would change in bundled scenes.
 
     python -m tools.docs.unmodelled            # all; some minutes
-    python -m tools.docs.unmodelled sediment   # of sediment and mirrors: those that are named
+    python -m tools.docs.unmodelled sediment   # of sediment and reflectors: those that are named
 
 sediment   Roughness and volume backscatter of sea floors by APL-UW TR 9407, 1994, ch. IV, in place of Lambert's law:
            Kirchhoff's approximation near the vertical, down to the angle that the table names, small roughness
            elsewhere, and the sediment's volume. Without its averages over slopes and shadows of large roughness,
            which matter below 10 degrees. Bins whose strongest body is a sea floor get the echo of its law at the
            mean incidence that their labels have.
-mirrors    Paths over two planar reflectors, one on the way out and another one on the way back, or both on one way,
+reflectors Paths over two planar reflectors, one on the way out and another one on the way back, or both on one way,
            by brute force: rays are reflected where they meet a reflector, and each place that they reach is joined
            to the sonar's images. The first line of a scene has paths over one reflector by the same rays, beside
            the simulator's, which judges the rays.
@@ -29,7 +29,7 @@ from sonar_gl.analysis.terms import changed_bins, differs
 from sonar_gl.scene.materials import material
 from tools.bench import harness
 from tools.docs import ablation
-from tools.docs.two_mirrors import Mirrors
+from tools.docs.two_reflectors import TwoReflectors
 
 SONAR, TOLERANCE = "p900-45", 0.01
 GRAZING_DEG = (5, 10, 20, 30, 45, 60, 75, 85)
@@ -151,12 +151,12 @@ def print_sediment() -> None:
     harness.print_table(rows)
 
 
-# ---- mirrors -----------------------------------------------------------------------------------------
+# ---- reflectors --------------------------------------------------------------------------------------
 
 
-def print_mirrors() -> None:
+def print_reflectors() -> None:
     """Print what paths over two reflectors return, beside those over one."""
-    print(f"mirrors: box beams in azimuth, no pulse, {RAYS / 1e6:g} million rays")
+    print(f"reflectors: box beams in azimuth, no pulse, {RAYS / 1e6:g} million rays")
     rows = []
     for name in ablation.SCENES:
         scene, sonar = ablation.setting(name)
@@ -166,7 +166,7 @@ def print_mirrors() -> None:
             acoustics = replace(plain, multipath=multipath, bubbles=False)
             with sg.Simulator(scene, sonar, acoustics, tolerance=TOLERANCE) as simulator:
                 images[multipath] = simulator.ping(scene.sonar_pose).intensity.astype(np.float64)
-        one, two = Mirrors(scene, sonar, plain).ping(RAYS)
+        one, two = TwoReflectors(scene, sonar, plain).ping(RAYS)
         full = images["incoherent"]
         by_simulator = full.sum() - images["none"].sum()
         for what, image in (("one", one), ("two", two)):
@@ -181,7 +181,7 @@ def print_mirrors() -> None:
     harness.print_table(rows)
 
 
-STUDIES = {"sediment": print_sediment, "mirrors": print_mirrors}
+STUDIES = {"sediment": print_sediment, "reflectors": print_reflectors}
 
 
 def main():

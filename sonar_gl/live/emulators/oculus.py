@@ -160,7 +160,7 @@ class _Program:
     """A program that is connected: its address, and of which kinds of its wrong fire messages the log says why."""
 
     address: str
-    told: set[str] = field(default_factory=set)
+    reported: set[str] = field(default_factory=set)
 
 
 class OculusServer:
@@ -293,8 +293,8 @@ class OculusServer:
         """Count a wrong fire message; log why, unless the log says so of one like it of the same program."""
         self.counts.refused += 1
         kind = why.field if isinstance(why, WrongFireError) else "ping"
-        if kind not in program.told:
-            program.told.add(kind)
+        if kind not in program.reported:
+            program.reported.add(kind)
             logger.warning("a fire message is ignored: %s (others like it are only counted)", why)
 
     async def _ping(self) -> None:

@@ -14,7 +14,7 @@ MAX_SINE = np.sin(np.radians(80.0))  # of elevations: far into the side lobes
 LEAST_REFLECTION = 0.01  # of the intensity at 45 degrees: reflectors that are left out return less
 
 
-class Mirrors:
+class TwoReflectors:
     """The reflectors and bodies of a scene, seen from its sonar.
 
     Parameters
