@@ -216,15 +216,17 @@ def further_states(setup: PingSetup) -> FurtherStates:
 
 def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> ReceivedPing:
     """Sum what else there is beside the direct echo of a ping."""
-    surface = receive_surface(drawn)
-    if labels is not None and surface is not None:
-        labels = without_weaker(labels, direct.intensity, surface.intensity)
+    volume, surface = receive_volume(drawn), receive_surface(drawn)
+    if labels is not None:
+        of_water = [echo.intensity for echo in (volume, surface) if echo is not None]
+        if of_water:
+            labels = without_weaker(labels, direct.intensity, np.sum(of_water, axis=0))
     return ReceivedPing(
         drawn,
         direct,
         receive_multipath(drawn),
         labels,
-        receive_volume(drawn),
+        volume,
         surface,
         receive_part(drawn, drawn.further.lobes),
         receive_part(drawn, drawn.further.texture),

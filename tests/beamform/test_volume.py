@@ -139,6 +139,30 @@ def test_bins_finer_than_the_pulse_read_the_level_of_its_cell():
     np.testing.assert_allclose(found[:, margin:-margin], LEVEL * kernel.sum(), rtol=1e-6)
 
 
+def test_bins_in_which_the_water_is_strongest_have_no_label():
+    """Before, murkier water had more labels: it made bins bright in which nothing was seen of a body."""
+    ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.3), sg.pose(8, 0, 0), reflectivity=0.5)
+    faint = sg.Body("faint", trimesh.creation.icosphere(3, 0.3), sg.pose(8, 2, 0), reflectivity=1e-5)
+    scene, labels = sg.Scene([ball, faint]), {}
+    for is_on in (True, False):
+        acoustics = replace(ideal(), volume_reverberation=is_on)
+        with sg.Simulator(scene, SONAR, acoustics, tolerance=0.01) as simulator:
+            # all bins are labelled, however faint
+            labels[is_on] = simulator.ping(np.eye(4), labels=True, label_level_db=-180.0)
+    assert set(np.unique(labels[False].body_id)) == {0, 1, 2}
+    assert set(np.unique(labels[True].body_id)) == {0, 1}
+    own = labels[False].share * labels[False].intensity
+    is_weaker = own < labels[True].intensity - labels[False].intensity
+    np.testing.assert_array_equal(labels[True].body_id, np.where(is_weaker, 0, labels[False].body_id))
+    gone = is_weaker & (labels[False].body_id == 1)
+    assert gone.any() and not labels[True].share[gone].any()
+    assert np.isnan(labels[True].elevation_rad[gone]).all()
+    # sums of bodies and the labels of others are those of clear water
+    np.testing.assert_array_equal(labels[True].body_echo, labels[False].body_echo)
+    kept = labels[True].body_id == 1
+    np.testing.assert_array_equal(labels[True].elevation_rad[kept], labels[False].elevation_rad[kept])
+
+
 @pytest.mark.filterwarnings("ignore:no echo came back")
 def test_it_is_off_in_clear_water_and_by_profile_and_the_water_of_a_ping_decides():
     assert sg.Acoustics.physical().volume_backscatter_db is None

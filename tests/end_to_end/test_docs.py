@@ -3,6 +3,7 @@
 import dataclasses
 import doctest
 import importlib.util
+import json
 import os
 import pkgutil
 import re
@@ -394,23 +395,30 @@ VARIED_MEDIA = (
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error::UserWarning")
 @pytest.mark.parametrize(
-    ("vary", "has_labels"),
+    ("vary", "has_labels", "scenes"),
     [
-        pytest.param("", True, id="nothing"),
-        pytest.param(VARIED, True, id="poses"),
-        pytest.param(VARIED + "there = 0.5\nreflectivity = [0.2, 0.9]\n" + VARIED_MEDIA, False, id="all"),
+        pytest.param("", True, ["tank.sdf"], id="nothing"),
+        pytest.param(VARIED, True, ["tank.sdf"], id="poses"),
+        pytest.param(
+            VARIED + "there = 0.5\nreflectivity = [0.2, 0.9]\n" + VARIED_MEDIA, False, ["tank.sdf"], id="all"
+        ),
+        # in the first scene, too, bodies of these names move
+        pytest.param(VARIED, True, ["pool.sdf", "tank.sdf"], id="scenes"),
     ],
 )
-def test_the_block_that_makes_a_ping_again_is_for_any_job_with_one_scene(folder, vary, has_labels):
+def test_the_block_that_makes_a_ping_again_is_for_any_job(folder, vary, has_labels, scenes):
     job = write_plain_job(folder, 4, 4, vary + LABELS * has_labels)
+    Path("pool.sdf").write_text(Path("tank.sdf").read_text().replace('"tank"', '"pool"'))
+    job.write_text(job.read_text().replace('["tank.sdf"]', json.dumps(scenes)))
     make_all(job, folder / "pylons")
     (code,) = [
         block.values[0] for block in blocks("python", [BATCHES]) if "receiver_power(again" in block.values[0]
     ]
-    assert 'load_scene("pylon")' in code
+    number = 4 * len(scenes) - 1  # of the last scene
     names = {"__name__": "__main__"}
-    exec(compile(code.replace('load_scene("pylon")', 'load_scene("tank.sdf")'), "example", "exec"), names)
-    assert names["again"].intensity.sum() == pytest.approx(float(names["pings"].echo[3]), rel=1e-6)
+    exec(compile(code.replace("n, pings = 3,", f"n, pings = {number},"), "example", "exec"), names)
+    assert names["n"] == number and names["scene_number"] == len(scenes) - 1
+    assert names["again"].intensity.sum() == pytest.approx(float(names["pings"].echo[number]), rel=1e-6)
     assert ("body_id" in names) == has_labels
 
 
