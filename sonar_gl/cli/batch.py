@@ -30,7 +30,8 @@ def batch(options) -> int:
     if options.mend and not options.resume:
         raise Error("--mend needs --resume (it mends what is in the folder)")
     if (options.job is None) == (options.check is None):
-        raise Error("batch must be given a job file, or --check and a folder (got both or neither)")
+        given = "neither" if options.job is None else "both"
+        raise Error(f"batch must be given either a job file, or --check and a folder (got {given})")
     if options.check is not None:
         _check_alone(options, "--check", "a check makes no pings", MAKING)
     if options.dry_run:

@@ -228,18 +228,17 @@ Exit status: 0 the tolerance was kept, 1 it was not, 2 a mistake in the command 
 """
 
 
-@main.command(epilog=VERIFY_EPILOG, short_help="Say how far a ping is from the truth.")
+@main.command(epilog=VERIFY_EPILOG, short_help="Compare a ping with a slow ray-cast reference.")
 @ping_options(poses=None, height={"type": int, "default": 600}, out={"default": ".", "type": PathText()})
 @click.pass_context
 def verify(ctx, scene, **options):
-    """Compare a ping of SCENE with the same integral by millions of rays, and draw the difference.
+    """Compare a ping of SCENE with a reference by millions of rays, and draw the difference.
 
     The error is the share of the echo that lies in wrong bins, without noise. The picture, pylon_error.png for the
     scene pylon, shows the ping, the reference and their difference. Rays are cast until the reference's own error is
-    a tenth of the one found: the examples take seconds; many bins, a small
-    tolerance, and the side lobes of profile `physical` take minutes. Bubbles are left
-    out, since the reference does not model them. Needs the extra `reference` (Embree); without it the error says how to
-    add it.
+    a tenth of the error found. The examples take seconds; many bins, a small tolerance, and the side lobes of profile
+    `physical` take minutes. Bubbles are left out, since the reference does not model them. Needs the extra `reference`
+    (Embree); without it the error message says how to add it.
     """
     found = cli.verify.verify(scene, SimpleNamespace(**options, poses=None))
     echo(json.dumps(found) if options["json"] else cli.verify.verify_text(found))
@@ -256,21 +255,21 @@ Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake in the command
 """
 
 
-@main.command(epilog=PLAN_EPILOG, short_help="Say which samples a tolerance needs, and their cost.")
+@main.command(epilog=PLAN_EPILOG, short_help="Say how many samples a tolerance needs, and their cost.")
 @ping_options(noise={"default": "physical"})
 @click.pass_context
 def plan(ctx, scene, **options):
-    """Choose the samples for a tolerance by what the sonar sees in SCENE; say why, and at what cost.
+    """Choose the number of samples that a tolerance needs in SCENE, and print the reason, the error and the cost.
 
-    The same is done for half and for twice the tolerance. Errors are estimates that pings make of themselves,
-    without a reference; `sonar-gl verify` finds the true ones. Of a long sequence of poses about two dozen are tried,
-    as by `sonar-gl render`.
+    The same is printed for half and for twice the tolerance. Errors are estimates that pings make of themselves;
+    `sonar-gl verify` finds the true errors. Of a long sequence of poses about two dozen are tried, as by `sonar-gl
+    render`.
 
-    Then each term of acoustics and noise is priced: how much the image changes without it, as a share of its sum; the
-    strongest change of one bin, over the strongest bin; the share of the displayed bins that change by more than 3 dB;
-    the milliseconds that the term adds to a ping; and whether the image changes by more than the tolerance without it,
-    in its sum or in its displayed bins. Ring-down, a centre streak and dropped beams are priced where sonar and noise
-    have them.
+    Then a table tells how much each term of acoustics and noise matters. For the image without the term it has: the
+    change of the image, as a share of its sum; the strongest change of one bin, over the strongest bin; the share of
+    the displayed bins that change by more than 3 dB; the milliseconds that the term adds to a ping; and whether the
+    scene needs the term, since the sum or the displayed bins change by more than the tolerance. Ring-down, noise
+    common to all channels (centre streak) and dropped beams have a row where sonar and noise have them.
     """
     found = cli.plan.plan(scene, SimpleNamespace(**options))
     echo(json.dumps(found) if options["json"] else cli.plan.plan_text(found))
@@ -295,14 +294,16 @@ Ctrl-C.
 @click.argument("job", required=False, type=PathText())
 @option("out", default=None, type=PathText(), show_default="named after the job")
 @click.option(
-    "--dry-run", is_flag=True, help="Report what would be made, its size and time, after making a part."
+    "--dry-run",
+    is_flag=True,
+    help="Report the size and the time of the data set and its hardest views; write nothing.",
 )
-@click.option("--resume", is_flag=True, help="Continue the batch in the folder.")
-@click.option("--mend", is_flag=True, help="With --resume: find damaged files, and make them again.")
+@click.option("--resume", is_flag=True, help="Continue the batch in the output folder.")
+@click.option("--mend", is_flag=True, help="With --resume: also find damaged files, and make them again.")
 @click.option(
     "--any-system",
     is_flag=True,
-    help="Make pings also with other OpenGL or libraries than those that began the batch.",
+    help="Go on with another OpenGL or other libraries than those that began the batch; bytes may differ.",
 )
 @click.option(
     "--check", type=PathText(), metavar="DIR", help="Compare the files of a batch with their checksums."
@@ -319,14 +320,14 @@ Ctrl-C.
     type=click.IntRange(min=0),
     multiple=True,
     show_default="the variable SONAR_GL_DEVICE, or 0",
-    help="Index of an OpenGL device; may be repeated: processes take them in turn.",
+    help="Index of an OpenGL device (`sonar-gl doctor` lists them); may be repeated: processes take them in turn.",
 )
 @click.option(
     "--cluster", metavar="ADDRESS", help="Address of a Dask scheduler whose workers make the pings."
 )
 @click.pass_context
 def batch(ctx, **options):
-    """Make the pings that the file JOB describes, label and store them.
+    """Make the pings that the file JOB describes, with labels, and store them.
 
     JOB is a TOML file; docs/batch.md describes it.
     """
@@ -419,9 +420,8 @@ Examples:
 def doctor(ctx, report_path, scene, **options):
     """Check what is installed, which OpenGL is found, and whether a known scene comes out right.
 
-    This also compiles all functions that are compiled on first use, and keeps them on disk: the first time takes a
-    minute or two with two free cores, some minutes with one; later commands then start fast. The engine that draws
-    the known scene is that of --engine.
+    This also compiles the numerical code and keeps it on disk, so that later commands start fast. The first time
+    takes a minute or two with two free cores, some minutes with one. The engine of --engine draws the known scene.
 
     With --scene, list instead the bodies of a scene with their sizes, places, triangles and reflectivity, its water,
     its sonars, and everything that was left out or assumed as it was read.
@@ -468,7 +468,7 @@ def _emulate_options(**more):
 
 @main.group(epilog=EMULATE_EPILOG, short_help="Speak the network protocol of a real sonar.")
 def emulate():
-    """Simulate a sonar that the programs of a real one use over the network, unchanged."""
+    """Act as a real sonar on the network: programs of that sonar work unchanged, with pings of a scene."""
 
 
 @emulate.command("oculus", short_help="An Oculus of Blueprint Subsea (TCP 52100, status by UDP 52102).")
@@ -479,7 +479,7 @@ def emulate():
 def emulate_oculus(scene, **options):
     """Emulate an Oculus in SCENE: mode, range, gain, gamma, beams and ping rate are those that the program sends.
 
-    A ping that comes late is left out: the ping rate falls. In a sequence of poses the sonar moves in real time, and
+    If pings take too long, the ping rate falls. In a sequence of poses the sonar moves in real time, and
     stays at the last pose.
     """
     echo(cli.emulate.oculus(scene, SimpleNamespace(**options)))

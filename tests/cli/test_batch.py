@@ -143,6 +143,11 @@ def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monk
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        ((), "batch must be given either a job file, or --check and a folder (got neither)"),
+        (
+            ("job.toml", "--check", "."),
+            "batch must be given either a job file, or --check and a folder (got both)",
+        ),
         (
             ("--check", ".", "--resume"),
             "--check and --resume exclude each other (a check makes no pings; leave one out)",
