@@ -1454,6 +1454,18 @@ MUTATIONS = (
         ("test_output",),
     ),
     Mutation(
+        "compiled/other files of a package",
+        "if os.path.basename(folder) == TOGETHER and os.path.isdir(folder):",
+        "if False:",
+        ("test_compiled",),
+    ),
+    Mutation(
+        "compiled/archives",
+        "return _state_of(folder) if folder != path else None",
+        "return None",
+        ("test_compiled",),
+    ),
+    Mutation(
         "warn/other categories",
         "if issubclass(category, collection.category):",
         "if True:",
