@@ -17,7 +17,7 @@ from tests.support.processes import HOME, python
 
 @pytest.mark.parametrize(
     ("module", "is_announced"),
-    [("sonar_gl.beamform.kernels", True), ("program_of_a_user", False), (None, False)],
+    [("sonar_gl.beamform.kernels.strips", True), ("program_of_a_user", False), (None, False)],
 )
 def test_only_kernels_of_this_package_are_announced(module, is_announced, capsys):
     """An early version announced its kernels when a program compiled a function of its own.
@@ -42,7 +42,7 @@ def test_the_announcement_says_whether_the_machine_code_is_kept(is_kept, tmp_pat
     def add(x):
         return x + 1
 
-    add.__module__ = "sonar_gl.beamform.kernels"
+    add.__module__ = "sonar_gl.beamform.kernels.strips"
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path) if is_kept else "")
     announce_compilation(True)
     assert numba.njit(cache=is_kept)(add)(1) == 2
