@@ -263,7 +263,7 @@ class Simulator:
     def add(self, *bodies: Body | Bubbles) -> None:
         """Put more bodies or plumes into the scene; the numbers of those that are there stay.
 
-        Many are given at once, as `simulator.add(*bodies)`: each call goes through all that are there.
+        Give many bodies in one call: each call goes through all that are there.
 
         Parameters
         ----------

@@ -214,7 +214,7 @@ MUTATIONS = (
     Mutation(
         "footprints/samples behind a strip",
         "last = max(last + 1, first) geometry",
-        "last = _whole(0, max(last + 1, first))\n    geometry",
+        "last = whole_groups(0, max(last + 1, first))\n    geometry",
         ("test_joined_rows::test_no_bit_depends_on_what_was_in_memory_beside_a_strip",),
     ),
     Mutation(
@@ -231,8 +231,8 @@ MUTATIONS = (
     ),
     Mutation(
         "strips/more rows than there is room for",
-        "n_rows > kernels.MAX_STRIP_ROWS",
-        "n_rows > 9 * kernels.MAX_STRIP_ROWS",
+        "n_rows > MAX_STRIP_ROWS",
+        "n_rows > 9 * MAX_STRIP_ROWS",
         STRIPS,
     ),
     Mutation(
@@ -422,7 +422,7 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/slant of trapezoids",
-        "slanted, even_echo = _slanted(rise, s, high, edge, wide), scale",
+        "slanted, even_echo = slanted_density(rise, s, high, edge, wide), scale",
         "slanted, even_echo = 1.0, scale",
         LABELS,
     ),
@@ -1588,6 +1588,18 @@ MUTATIONS = (
         "if problem := _problem(listener):",
         'if problem := "":',
         ("test_output",),
+    ),
+    Mutation(
+        "compiled/other files of a package",
+        "if os.path.basename(folder) == TOGETHER and os.path.isdir(folder):",
+        "if False:",
+        ("test_compiled",),
+    ),
+    Mutation(
+        "compiled/archives",
+        "return _state_of(folder) if folder != path else None",
+        "return None",
+        ("test_compiled",),
     ),
     Mutation(
         "warn/other categories",

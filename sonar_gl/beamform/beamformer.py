@@ -11,8 +11,19 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.beamform import kernels
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
+from sonar_gl.beamform.kernels.beams import TILE_BEAMS, add_far_lobes, weigh_columns
+from sonar_gl.beamform.kernels.column_sums import (
+    clear_columns,
+    count_bins,
+    share_wide_columns,
+    sum_footprints,
+    sum_points,
+)
+from sonar_gl.beamform.kernels.image_sources import Reflection, sum_image_source
+from sonar_gl.beamform.kernels.range_bins import bin_table
+from sonar_gl.beamform.kernels.strips import StripTable
+from sonar_gl.beamform.kernels.work_table import MAX_STRIP_ROWS
 from sonar_gl.beamform.labels import Labeller, Labels, bins_of_bodies
 from sonar_gl.beamform.weights import BeamWeights, beam_weights, elevations_of, gauss_nodes
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
@@ -58,7 +69,7 @@ class BodySums(NamedTuple):
 
     Attributes
     ----------
-    runs : plain tuple of kernels.Runs
+    runs : plain tuple of Runs
     body_bins : of `bins_of_bodies`
     is_little : there is little work, which one thread does
     """
@@ -88,12 +99,12 @@ class ImageSourceView:
     Attributes
     ----------
     samples : of each sector
-    reflections : kernels.Reflection of each sector
-    strips : of each half of the columns, kernels.StripTable of each sector
+    reflections : Reflection of each sector
+    strips : of each half of the columns, StripTable of each sector
     """
 
     samples: Sequence[SectorSamples]
-    reflections: Sequence[kernels.Reflection]
+    reflections: Sequence[Reflection]
     strips: Sequence[Sequence[tuple]]
 
 
@@ -167,7 +178,7 @@ class Beamformer:
 
     Attributes
     ----------
-    strips : kernels.StripTable of each sector, for each half of the columns
+    strips : StripTable of each sector, for each half of the columns
     elevation_table : (E,) two-way power pattern at even sines from -1 to 1, `elevations_of`; of no length for a box
     """
 
@@ -182,9 +193,9 @@ class Beamformer:
         workspace: Workspace | None = None,
     ):
         n_rows = max(sector.rows for sector in fan.sectors)
-        if n_rows > kernels.MAX_STRIP_ROWS:
+        if n_rows > MAX_STRIP_ROWS:
             raise SampleLimitError(
-                f"a sector must have no more than {kernels.MAX_STRIP_ROWS} rows of samples (got {n_rows}, with those "
+                f"a sector must have no more than {MAX_STRIP_ROWS} rows of samples (got {n_rows}, with those "
                 "beyond the aperture; ask for fewer rows)"
             )
         self._workspace = workspace or Workspace()
@@ -199,7 +210,7 @@ class Beamformer:
         # the fan may be higher, to hold the side lobes of the pattern
         is_main_lobe = self.elevation_table > HALF_POWER_TWO_WAY
         fov_rad = math.inf if is_even else float(np.ptp(np.arcsin(sines[is_main_lobe])))
-        self._bins = tuple(kernels.bin_table(fan.sonar.bin_edges_m, fov_rad))
+        self._bins = tuple(bin_table(fan.sonar.bin_edges_m, fov_rad))
         self._spread = fan.sampling.reducer == "footprint"
         self._far = far_lobes
         # far side lobes receive all columns
@@ -243,8 +254,7 @@ class Beamformer:
             return (np.empty(0),) * len(self.fan.sectors)
         strips = zip(self.fan.sectors, *self.strips, strict=True)
         return tuple(
-            _union_of_strips(sector, [kernels.StripTable(*half) for half in halves])
-            for sector, *halves in strips
+            _union_of_strips(sector, [StripTable(*half) for half in halves]) for sector, *halves in strips
         )
 
     @cached_property
@@ -281,14 +291,12 @@ class Beamformer:
     def clear_columns(self, half: int, columns: ColumnSums) -> None:
         """Set the sums of a half of the columns to zero."""
         for first, last in self._halves[half]:
-            kernels.clear_columns(first, last, columns.all_sums, columns.all_spans)
+            clear_columns(first, last, columns.all_sums, columns.all_spans)
 
     def share_wide_columns(self, columns: ColumnSums) -> None:
         """Add the sums of wide columns to those of their columns."""
         if self.fan.n_wide_columns:
-            kernels.share_wide_columns(
-                self.fan.wide_edges, self._wide_shares, columns.all_sums, columns.all_spans
-            )
+            share_wide_columns(self.fan.wide_edges, self._wide_shares, columns.all_sums, columns.all_spans)
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
@@ -318,7 +326,7 @@ class Beamformer:
         def work(half):
             self.clear_columns(half, columns)
             for one, strips in zip(of_sectors, self.strips[half], strict=True):
-                kernels.sum_footprints(
+                sum_footprints(
                     self._workspace.works[half],
                     *one,
                     strips,
@@ -339,7 +347,7 @@ class Beamformer:
         if self.fan.are_cones:
             points = _shown_points(points)
         arrays = self.elevation_table, self.fan.max_sine, not self.is_box, columns.sums, columns.spans
-        kernels.sum_points(points, edges_rad, edges_m, *arrays)
+        sum_points(points, edges_rad, edges_m, *arrays)
         return self.weigh(columns, gain)
 
     def sum_image_sources(
@@ -363,7 +371,7 @@ class Beamformer:
         def add(half: int, view: ImageSourceView) -> bool:
             of_sectors, counts = zip(view.samples, view.reflections, view.strips[half], strict=True), False
             for one, reflection, strips in of_sectors:
-                counts |= kernels.sum_image_source(
+                counts |= sum_image_source(
                     self._workspace.works[half],
                     whole_rows(one.plane_echo),
                     one.lattice,
@@ -382,7 +390,7 @@ class Beamformer:
                 is_seen[half, number] = add(half, view)
 
         def add_own(half):
-            kernels.clear_columns(*self._halves[half][1], columns.all_sums, columns.all_spans)
+            clear_columns(*self._halves[half][1], columns.all_sums, columns.all_spans)
             for number in np.flatnonzero(is_seen.any(axis=0)):
                 add(half, own[number])
 
@@ -454,11 +462,9 @@ class Beamformer:
         out, totals = self._pool.empty(), [0.0, 0.0]
 
         def work(half):
-            totals[half] = kernels.weigh_columns(
-                columns.sums, columns.spans, tiles, self._parts[half], gain, out
-            )
+            totals[half] = weigh_columns(columns.sums, columns.spans, tiles, self._parts[half], gain, out)
 
-        bins = kernels.count_bins(columns.spans) / len(columns.spans)
+        bins = count_bins(columns.spans) / len(columns.spans)
         self._run(work, tiles[1].size * bins < FEW_PRODUCTS)
         return out, sum(totals)
 
@@ -470,23 +476,21 @@ class Beamformer:
             return 0.0
         span = int(used[:, 0].min()), int(used[:, 1].max())
         condense, couple, K = tuple(far.condense), tuple(far.couple), out.shape[1]
-        n_condense, n_couple = (kernels.TILE_BEAMS * len(tiles[0]) for tiles in (condense, couple))
+        n_condense, n_couple = (TILE_BEAMS * len(tiles[0]) for tiles in (condense, couple))
         of_columns, of_beams = self._workspace.moments(n_condense, n_couple, K)
         spans = np.tile(span, (n_condense, 1))
 
         def sum_columns(half):
             tiles = _half_of(len(condense[0]), half)
-            kernels.weigh_columns(columns.sums, columns.spans, condense, tiles, NO_GAIN, of_columns)
+            weigh_columns(columns.sums, columns.spans, condense, tiles, NO_GAIN, of_columns)
 
         def spread(half):
             tiles = _half_of(len(couple[0]), half)
-            kernels.weigh_columns(of_columns, spans, couple, tiles, NO_GAIN, of_beams)
+            weigh_columns(of_columns, spans, couple, tiles, NO_GAIN, of_beams)
 
         def add(half):
             beams = _half_of(len(out), half)
-            totals[half] = kernels.add_far_lobes(
-                of_beams, far.first_moment, far.expansion, beams, span, gain, out
-            )
+            totals[half] = add_far_lobes(of_beams, far.first_moment, far.expansion, beams, span, gain, out)
 
         is_little = far.products * (span[1] - span[0]) < FEW_PRODUCTS
         for work in (sum_columns, spread, add):
@@ -501,20 +505,20 @@ def _half_of(n: int, half: int) -> tuple[int, int]:
 
 
 def _strips_within(strips, half: Sequence[tuple[int, int]], received) -> tuple:
-    """Return a plain kernels.StripTable of the strips in half of the columns, as far as a beam receives them."""
+    """Return a plain StripTable of the strips in half of the columns, as far as a beam receives them."""
     mine = received[strips.column]
     arrays = strips.column, strips.middle, strips.width, strips.v_low, strips.v_high
     return _within([one[mine] for one in arrays], strips.are_cones, half)
 
 
 def _within(arrays, are_cones: bool, half: Sequence[tuple[int, int]]) -> tuple:
-    """Return a plain kernels.StripTable of the strips in some columns, each from the first to before the last."""
+    """Return a plain StripTable of the strips in some columns, each from the first to before the last."""
     column = arrays[0]
     mine = np.logical_or.reduce([(first <= column) & (column < last) for first, last in half])
     return *(one[mine] for one in arrays), are_cones
 
 
-def _union_of_strips(sector: Sector, tables: Sequence[kernels.StripTable]) -> np.ndarray:
+def _union_of_strips(sector: Sector, tables: Sequence[StripTable]) -> np.ndarray:
     """Return (2n,) u between which the samples lie that upright strips take.
 
     A strip narrower than a sample takes the nearest one.

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from sonar_gl.acoustics.boundary import bubble_backscattering, bubble_extinction
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels.views import ViewIndex, find_surfaces
 from sonar_gl.core.compiled import compiled
 from sonar_gl.sonar.fan import Fan
 
@@ -88,7 +88,7 @@ def _attenuate(plane_echo, face_id, sectors, middle, grid, tau):
 
     Parameters
     ----------
-    plane_echo, sectors : of kernels.ViewIndex; middle : azimuth from which those of the grid count
+    plane_echo, sectors : of ViewIndex; middle : azimuth from which those of the grid count
     face_id : of ViewSamples
     """
     half = grid[AZIMUTH_STEP] * (tau.shape[0] - 1) / 2
@@ -166,7 +166,7 @@ def _wrapped(azimuth_rad):
 
 
 def attenuate_behind_bubbles(
-    view: kernels.ViewIndex, face_id: np.ndarray, bubbles: np.ndarray, pose, fan: Fan
+    view: ViewIndex, face_id: np.ndarray, bubbles: np.ndarray, pose, fan: Fan
 ) -> np.ndarray:
     """Attenuate the samples of a view behind bubbles, in place; return the bubbles as point scatterers.
 
@@ -210,7 +210,7 @@ def attenuate_behind_bubbles(
     _add_depth(points, grid, tau)
     directions, surfaces, out = np.empty((3, len(points))), np.empty(len(points)), np.empty((len(points), 4))
     _find_directions(points, middle, directions)
-    kernels.find_surfaces(*directions, 0, len(points), tuple(view), surfaces)
+    find_surfaces(*directions, 0, len(points), tuple(view), surfaces)
     count = _find_echoes(points, middle, grid, tau, surfaces, out)
     _attenuate(view.plane_echo, face_id, view.sectors, middle, grid, tau)
     return out[:count]

@@ -29,13 +29,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from threadpoolctl import ThreadpoolController
 
 from sonar_gl.acoustics.beam_pattern import FarPattern
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels.beams import TILE_BEAMS, BeamTiles, beam_tiles
 from sonar_gl.beamform.weights import BeamWeights
 from sonar_gl.core.worker import held
 
 # Largest error of the far pattern, relative to the floor and the peak of the side lobe there: 0.46 dB.
 TOLERANCE = 0.1
-RANKS = 4, 8, 12  # multiples of kernels.TILE_BEAMS
+RANKS = 4, 8, 12  # multiples of TILE_BEAMS
 LOBES = 1, 1.25, 1.5, 1.75, 2, 2.25, 2.5, 3, 3.5, 4, 5, 6, 7, 8, 10, 12  # in a block, whole steps of nodes
 COLUMNS_PER_BEAM = 2.5  # about, for the cost of blocks
 # Fans of more side lobes, and more moments of columns, are left without: the memory would be gigabytes. Devices have up
@@ -123,9 +123,9 @@ class FarLobes:
     response : function without arguments to `column_response`
     """
 
-    near: kernels.BeamTiles
-    condense: kernels.BeamTiles
-    couple: kernels.BeamTiles
+    near: BeamTiles
+    condense: BeamTiles
+    couple: BeamTiles
     first_moment: np.ndarray
     expansion: np.ndarray
     response: Callable[[], np.ndarray]
@@ -302,7 +302,7 @@ def _blocks(table: NodeTable, fit: Fit, axes, start: float) -> LobeBlocks:
         return replace(found, expansion=expansion)
     # fewer beams than moments: M Uᵀ makes beams right away, and each expands itself alone
     beams = np.arange(len(axes))
-    tile = kernels.TILE_BEAMS
+    tile = TILE_BEAMS
     of_beams = _expand(expansion, number * rank, matrix)
     return replace(
         found,
@@ -381,9 +381,9 @@ def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmi
     """Return what `far_lobes` does."""
     shares = _shares(blocks, near, edges, transmit_pattern)
     return FarLobes(
-        near=kernels.beam_tiles(near.first, shares.corrected),
+        near=beam_tiles(near.first, shares.corrected),
         condense=_condensing_tiles(shares.means * shares.transmitted[:, None], shares.block),
-        couple=kernels.beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
+        couple=beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
         first_moment=blocks.first_moment.astype(np.int64),
         expansion=(blocks.expansion * shares.per_sr[:, None]).astype(np.float32),
         # found once more for the few stages that need it: what it is made from takes four times the memory of the rest
@@ -422,12 +422,12 @@ def _column_response(
     far *= shares.transmitted.astype(np.float32)
     far *= shares.per_sr.astype(np.float32)[:, None]
     np.add.at(far, (np.arange(len(far))[:, None], shares.columns), shares.corrected)
-    # less than nothing counts as nothing, as in `kernels.add_far_lobes`
+    # less than nothing counts as nothing, as in `add_far_lobes`
     np.maximum(far, 0, out=far)
     return far.sum(axis=0, dtype=np.float64)
 
 
-def _condensing_tiles(means, block) -> kernels.BeamTiles:
+def _condensing_tiles(means, block) -> BeamTiles:
     """Return tiles that sum columns into the moments of blocks.
 
     Parameters
@@ -442,5 +442,5 @@ def _condensing_tiles(means, block) -> kernels.BeamTiles:
     weights = np.zeros((n_blocks, rank, width + -width % 4), np.float32)
     for j, (a, b) in enumerate(zip(first, past, strict=True)):
         weights[j, :, : max(b - a, 0)] = means[j, a:b].T
-    tiles = weights.reshape(-1, kernels.TILE_BEAMS, weights.shape[2]).transpose(0, 2, 1)
-    return kernels.BeamTiles(np.repeat(first, rank // kernels.TILE_BEAMS), np.ascontiguousarray(tiles))
+    tiles = weights.reshape(-1, TILE_BEAMS, weights.shape[2]).transpose(0, 2, 1)
+    return BeamTiles(np.repeat(first, rank // TILE_BEAMS), np.ascontiguousarray(tiles))

@@ -11,7 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import uint64
 
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels.beams import BeamTiles, beam_tiles
+from sonar_gl.beamform.kernels.body_sums import LabelRoom, sum_bodies
+from sonar_gl.beamform.kernels.range_bins import BinTable
+from sonar_gl.beamform.kernels.runs import sort_runs, sum_body_echo
+from sonar_gl.beamform.kernels.strongest import StrongestEcho, find_strongest
 from sonar_gl.beamform.weights import BeamWeights
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.compiled import compiled
@@ -133,7 +137,7 @@ class LabelColumns(NamedTuple):
     count : number of joined columns
     wide_edges : (W + 1,) int64, joined columns between which the wide ones lie
     wide_shares : (count,) float32, the share of its wide column that a joined column takes
-    tiles : kernels.BeamTiles of joined columns
+    tiles : BeamTiles of joined columns
     response : (count,) float64, what all beams together return of the echo in a joined column
     """
 
@@ -141,7 +145,7 @@ class LabelColumns(NamedTuple):
     count: int
     wide_edges: np.ndarray
     wide_shares: np.ndarray
-    tiles: kernels.BeamTiles
+    tiles: BeamTiles
     response: np.ndarray
 
 
@@ -179,7 +183,7 @@ def label_columns(fan: Fan, weights: BeamWeights, widest_rad: float, response: n
         len(begins),
         np.searchsorted(begins, fan.wide_edges) if fan.n_wide_columns else fan.wide_edges,
         np.add.reduceat(fan.wide_shares, begins) if fan.n_wide_columns else np.ones(len(begins), np.float32),
-        kernels.beam_tiles(first, np.float32(received.reshape(n_beams, width) / of_beams)),
+        beam_tiles(first, np.float32(received.reshape(n_beams, width) / of_beams)),
         of_all,
     )
 
@@ -192,8 +196,8 @@ class Labeller:
     fan, weights : Fan and BeamWeights
     is_box : beams are boxes, whose ends would lie within joined columns
     parts : which of the tiles of beams each half does
-    bins : tuple of kernels.BinTable
-    elevation_pattern : of kernels.sum_footprints
+    bins : tuple of BinTable
+    elevation_pattern : of sum_footprints
     workspace : Workspace
     response : (columns,) `column_response` of the far lobes, or of the weights where there are none
     """
@@ -213,7 +217,7 @@ class Labeller:
         self._fan, self._bins = fan, bins
         self._columns = label_columns(fan, weights, widest_rad, response)
         self._elevation_pattern = elevation_pattern
-        self._middle_m = kernels.BinTable(*bins).middle_m.astype(np.float32)
+        self._middle_m = BinTable(*bins).middle_m.astype(np.float32)
         self._parts, self._workspace, pools = parts, workspace, workspace.pools
         shape = len(weights.first), len(self._middle_m)
         self._floats, self._numbers = pools.pool(shape), pools.pool(shape, np.uint16)
@@ -227,12 +231,12 @@ class Labeller:
         columns: ColumnSums,
         clear: Callable[[int], None],
     ) -> tuple:
-        """Return the sums of each body, a plain tuple of kernels.Runs, which stay as they are until the next call.
+        """Return the sums of each body, a plain tuple of Runs, which stay as they are until the next call.
 
         Parameters
         ----------
         view : whose samples hold the numbers of bodies
-        strips : of each half of the columns, kernels.StripTable of each sector as plain tuples
+        strips : of each half of the columns, StripTable of each sector as plain tuples
         run : function (work) that does work(0) and work(1)
         columns : the sums of all bodies are written to it, as by `Beamformer.sum_footprints`
         clear : function (half) that sets the sums of its columns to zero
@@ -253,7 +257,7 @@ class Labeller:
         ]
 
         def sum_sector(half, arrays, mine):
-            used = kernels.sum_bodies(
+            used = sum_bodies(
                 self._workspace.works[half],
                 *arrays,
                 mine,
@@ -263,7 +267,7 @@ class Labeller:
                 columns.all_sums,
                 columns.all_spans,
             )
-            return room.take(half, kernels.LabelRoom(*used))
+            return room.take(half, LabelRoom(*used))
 
         def work(half):
             is_done = False
@@ -275,7 +279,7 @@ class Labeller:
 
         run(work)
         joined = self._columns.count, self._columns.wide_edges, self._columns.wide_shares
-        return kernels.sort_runs(tuple(tuple(store) for store in room.stores), *joined)
+        return sort_runs(tuple(tuple(store) for store in room.stores), *joined)
 
     def find(
         self,
@@ -298,7 +302,7 @@ class Labeller:
         is_background : (n_bodies + 1,) bool by number, or None for no shadow
         unshadowed : (B, K) echo of the background alone, without the gain
         """
-        strongest = kernels.StrongestEcho(
+        strongest = StrongestEcho(
             share=self._floats.empty(),
             body_id=self._numbers.empty(),
             background=np.empty((0, 0), np.float32) if is_background is None else self._floats.empty(),
@@ -308,8 +312,8 @@ class Labeller:
         body_echo = np.zeros((2, n_bodies + 1))
 
         def pick(half):
-            kernels.sum_body_echo(runs, self._columns.response, gain, half, body_echo[half])
-            kernels.find_strongest(
+            sum_body_echo(runs, self._columns.response, gain, half, body_echo[half])
+            find_strongest(
                 runs,
                 tuple(self._columns.tiles),
                 self._parts[half],

@@ -101,7 +101,7 @@ def _over_bin_mean(
     """
     sines = np.minimum(surface.height_m * inverse_m, 1.0)
     own = np.pi * backscatter(np.arcsin(sines)) / sines**2
-    # the echo of a footprint rises as the square of 1 over range, see `kernels.BinTable`
+    # the echo of a footprint rises as the square of 1 over range, see `BinTable`
     squares = 1 / np.maximum(edges_m, 1e-6)[::-1] ** 2
     up_to = np.append(0.0, np.cumsum(law[::-1] * np.diff(squares)))
     half_length = np.maximum(half_length, SHORTEST * inverse_m)

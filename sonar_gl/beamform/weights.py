@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels.beams import BeamTiles, beam_tiles
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.sector import cone_end_rad
 
@@ -49,9 +49,9 @@ class BeamWeights:
     columns_sr: np.ndarray
 
     @cached_property
-    def tiles(self) -> kernels.BeamTiles:
+    def tiles(self) -> BeamTiles:
         """The weights in tiles of beams."""
-        return kernels.beam_tiles(self.first, self.weights)
+        return beam_tiles(self.first, self.weights)
 
     @cached_property
     def column_response(self) -> np.ndarray:

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels import work_table
+from sonar_gl.beamform.kernels.body_sums import LabelRoom
+from sonar_gl.beamform.kernels.moments import MOMENTS
+from sonar_gl.beamform.kernels.runs import RUN, RunStore
 from sonar_gl.core.array_pool import ArrayPools
 
 # Initial room of labels: bodies in a column, runs of bins, numbers. Where it is too small, samples are summed twice;
@@ -37,19 +40,19 @@ class LabelSums:
 
     Attributes
     ----------
-    cells : (bodies, kernels.MOMENTS, K) float32 of each half
-    stores : kernels.RunStore of each half
+    cells : (bodies, MOMENTS, K) float32 of each half
+    stores : RunStore of each half
     """
 
     def __init__(self, n_bins: int):
-        self.cells = [np.zeros((SLOTS, kernels.MOMENTS, n_bins), np.float32) for _ in range(2)]
+        self.cells = [np.zeros((SLOTS, MOMENTS, n_bins), np.float32) for _ in range(2)]
         self.stores = [_empty_store(RUNS, POOL) for _ in range(2)]
 
     def clear(self, half: int) -> None:
         """Have the store of a half hold nothing."""
         self.stores[half] = self.stores[half]._replace(n_runs=0, n_pool=0)
 
-    def take(self, half: int, room: kernels.LabelRoom) -> bool:
+    def take(self, half: int, room: LabelRoom) -> bool:
         """Note how much of a half is in use; return False, with an empty and larger one, if it was too small."""
         cells, store = self.cells[half], self.stores[half]
         if (len(cells), len(store.runs), len(store.pool)) == room[2:]:
@@ -61,9 +64,9 @@ class LabelSums:
         return False
 
 
-def _empty_store(n_runs: int, n_pool: int) -> kernels.RunStore:
+def _empty_store(n_runs: int, n_pool: int) -> RunStore:
     """Return a store with room for so many runs, and numbers of them."""
-    return kernels.RunStore(np.empty((n_runs, kernels.RUN), np.int64), 0, np.empty(n_pool, np.float32), 0)
+    return RunStore(np.empty((n_runs, RUN), np.int64), 0, np.empty(n_pool, np.float32), 0)
 
 
 class Workspace:
@@ -83,7 +86,7 @@ class Workspace:
         self.pools = ArrayPools() if pools is None else pools
         self._weights = self._sums = self._label_sums = None, None
         self._moments = None, None
-        self.works = kernels.make_work(), kernels.make_work()
+        self.works = work_table.make_work(), work_table.make_work()
 
     def weights(self, column_edges_rad: np.ndarray, make: Callable[[], tuple]) -> tuple:
         """Return the weights of beams over some columns: BeamWeights, and FarLobes or None.

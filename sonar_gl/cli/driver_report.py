@@ -23,7 +23,7 @@ from sonar_gl.sonar.sonar import Sonar, load_sonar
 
 SONAR, TOLERANCE, N_PINGS = "p900-45", 0.02, 9  # of the scenes
 UNIT = 2.0**-24  # half of the distance of float32 numbers, relative
-# Samples count as of one plane if their planes differ by less than 1e-5 (SAME in kernels.py) on the border between
+# Samples count as of one plane if their planes differ by less than 1e-5 (SAME in borders.py) on the border between
 # them, where each is off by its noise in 1/x and by half a spacing's noise of its slope.
 MAX_NOISE = 1e-5 / UNIT / 3
 LIMITS = (

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import sys
 from functools import cache
+from inspect import getfile
+from pathlib import Path
 from pickle import UnpicklingError
+from stat import S_ISREG
 
 from numba import config, njit
 from numba.core import cgutils, event, types
-from numba.core.caching import FunctionCache
-from numba.core.dispatcher import Dispatcher
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.imputils import impl_ret_borrowed
+from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
 from sonar_gl.core.errors import Error
@@ -33,13 +38,15 @@ IN_EACH_PROCESS = (
 # What Numba raises for a file of machine code that is cut off, as by a loss of power, that was written where the module
 # had another name, or that cannot be read or written.
 UNUSABLE_FILE = OSError, EOFError, UnpicklingError, ImportError
+TOGETHER = "kernels"  # a package of this name: its functions call those of all its modules
 
 
 def compiled(function):
     """Compile a function by Numba, without the GIL, and cache its machine code on disk where that is possible.
 
-    Numba looks a cached function up by the state of the function's own file. So a compiled function calls functions,
-    and uses constants, of its own file only: after a change of another file it would run with outdated ones.
+    The machine code of a function holds the functions that it calls and the constants that it reads, and is looked up
+    by the files of `sources_of`. So a compiled function calls functions, and reads constants, of these files only:
+    after a change of another file it would run with outdated ones.
     """
     return _kept(function, OPTIONS)
 
@@ -65,49 +72,101 @@ def uncounted(function):
 
 def _kept(function, options: dict):
     """Compile a function, and keep its machine code on disk where that is possible."""
+    kept = _KeptFunction(function, targetoptions={"nopython": True, "boundscheck": None, **options})
     try:
-        kept = njit(cache=True, **options)(function)
+        kept.enable_caching()
     except RuntimeError:  # "cannot cache function": no writable folder
         return njit(**options)(function)
-    _bear_unusable_files(kept)
     return kept
 
 
-def _bear_unusable_files(kept: Dispatcher) -> None:
-    """Have a function that Numba keeps on disk run also where the disk is full, or its files there are damaged.
+def sources_of(file: str) -> list[str]:
+    """Return the files by whose content the machine code of a file's functions is looked up, that file first.
+
+    If it is a module of a package named "kernels", they are all modules of the package. This module is one, too: its
+    options and `as_table` are part of all machine code.
+    """
+    files, folder = [file], os.path.dirname(file)
+    if os.path.basename(folder) == TOGETHER and os.path.isdir(folder):
+        names = sorted(name for name in os.listdir(folder) if name.endswith(".py"))
+        files += [path for name in names if (path := os.path.join(folder, name)) != file]
+    return [*files, __file__]
+
+
+def _stamp(file: str) -> str:
+    """Return a hash of `sources_of` a file.
+
+    Files of a program that is an executable itself are not found. That executable is part of Numba's own stamp.
+    """
+    states = filter(None, map(_state_of, sources_of(file)))
+    return _hash_of_content(tuple(dict.fromkeys(states)))
+
+
+def _state_of(path: str) -> tuple | None:
+    """Return path, time and size of a file, or of the archive that holds it; None if there is neither."""
+    try:
+        state = os.stat(path)
+    except OSError:
+        folder = os.path.dirname(path)
+        return _state_of(folder) if folder != path else None
+    return (path, state.st_mtime_ns, state.st_size) if S_ISREG(state.st_mode) else None
+
+
+@cache
+def _hash_of_content(states: tuple) -> str:
+    """Return a hash of the names and the content of files; states : of `_state_of`, whose times ask for a new one."""
+    out = hashlib.sha256()
+    for path, *_ in states:
+        content = Path(path).read_bytes()
+        out.update(f"{os.path.basename(path)} {len(content)}\n".encode() + content)
+    return out.hexdigest()
+
+
+class _FilesOfFunction(FunctionCache):
+    """The files of a function's machine code, which Numba takes for outdated after a change of its sources."""
+
+    def __init__(self, py_func):
+        super().__init__(py_func)
+        stamp = self._impl.locator.get_source_stamp(), _stamp(getfile(py_func))
+        self._cache_file = IndexDataCacheFile(self.cache_path, self._impl.filename_base, stamp)
+
+
+class _KeptFunction(CPUDispatcher):
+    """A compiled function that runs also where the disk is full, or its files there are damaged.
 
     Numba raises what it meets there, of a full disk after the function has been compiled.
     """
-    compile_kept = kept.compile
 
-    def compile_any(signature):
+    def enable_caching(self):
+        """Keep machine code on disk; raise RuntimeError if there is no folder that can be written to."""
+        self._cache = _FilesOfFunction(self.py_func)
+
+    def compile(self, signature):
+        """Compile the function for types of arguments, or read the machine code for them from disk."""
         is_new = False
         while True:
-            n_before = len(kept.overloads)
+            n_before = len(self.overloads)
             try:
-                return compile_kept(signature)
+                return super().compile(signature)
             except UNUSABLE_FILE as why:
                 reason = (getattr(why, "strerror", None) or str(why)).lower()
-            if len(kept.overloads) > n_before:  # it is compiled, and the next turn finds it
-                _warn_not_kept(kept.stats.cache_path, reason)
-            elif is_new or not _begin_files_anew(kept):
+            if len(self.overloads) > n_before:  # it is compiled, and the next turn finds it
+                _warn_not_kept(self.stats.cache_path, reason)
+            elif is_new or not self._begin_files_anew():
                 raise Error(
-                    f"the machine code that is kept in {kept.stats.cache_path!r} must be readable (got {reason}; "
+                    f"the machine code that is kept in {self.stats.cache_path!r} must be readable (got {reason}; "
                     "delete that folder, or set NUMBA_CACHE_DIR to another one)"
                 )
             else:
                 is_new = True
 
-    kept.compile = compile_any
-
-
-def _begin_files_anew(kept: Dispatcher) -> bool:
-    """Forget the machine code of a function on disk, and return whether that was possible."""
-    try:
-        FunctionCache(kept.py_func).flush()
-    except OSError:
-        return False
-    return True
+    def _begin_files_anew(self) -> bool:
+        """Forget the machine code on disk, and return whether that was possible."""
+        try:
+            self._cache.flush()
+        except OSError:
+            return False
+        return True
 
 
 _reasons_not_kept = []  # of this process, the first of them

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
+from sonar_gl.beamform.kernels.image_sources import SAME_PLANE, Reflection, estimate_reflection
+from sonar_gl.beamform.kernels.views import ViewIndex, view_index
 from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.engine.visibility import count_bodies, reception_of
@@ -109,7 +110,7 @@ class ImageSource:
     ceiling : (4,) likewise of the water's surface, normal up; all zeros if there is none
     pose : ImagePose
     own_view, image_view : SectorSamples of each sector, of the sonar and of its image
-    own_index, image_index : kernels.ViewIndex of both; that of the sonar has all samples of its direct view
+    own_index, image_index : ViewIndex of both; that of the sonar has all samples of its direct view
     """
 
     reflector: PlanarReflector
@@ -118,8 +119,8 @@ class ImageSource:
     pose: ImagePose
     own_view: Sequence[SectorSamples]
     image_view: Sequence[SectorSamples]
-    own_index: kernels.ViewIndex
-    image_index: kernels.ViewIndex
+    own_index: ViewIndex
+    image_index: ViewIndex
 
 
 class BodySamples(NamedTuple):
@@ -231,7 +232,7 @@ class ImageSources:
         """
         # bubbles would have to attenuate each leg by itself
         states = [state.without_bubbles() for state in states]
-        indices = [kernels.view_index(view) for view in views]
+        indices = [view_index(view) for view in views]
         found = [
             _FoundImage(number, reflector, plane, image_pose(plane))
             for number, (pose, state, index) in enumerate(zip(poses, states, indices, strict=True))
@@ -279,7 +280,7 @@ class ImageSources:
                         own_view=own_view,
                         image_view=[every_row(one, step) for one in image_views[k].sectors],
                         own_index=indices[number],
-                        image_index=kernels.view_index(image_views[k]),
+                        image_index=view_index(image_views[k]),
                     )
                     for k in mine
                 ),
@@ -331,7 +332,7 @@ class ImageSources:
         counts[::2], counts[1::2] = halves
         return counts
 
-    def _reflecting(self, pose, state: SceneState, index: kernels.ViewIndex, stage: Stage) -> list[tuple]:
+    def _reflecting(self, pose, state: SceneState, index: ViewIndex, stage: Stage) -> list[tuple]:
         """Return the reflectors that may return more than the tolerance, one of each plane, each with it.
 
         Of several bodies in one plane, such as a floor and what stands on it, it is the largest. A plane is (4,) normal
@@ -345,7 +346,7 @@ class ImageSources:
         distances_m = rotated[:, 4] - rotated[:, 3]
         planes = np.column_stack([rotated[:, :3], distances_m]) * np.sign(distances_m)[:, None]
         reflected = np.empty(len(found))
-        echo = kernels.estimate_reflection(
+        echo = estimate_reflection(
             tuple(index),
             planes,
             np.array([one.body is not None for one in found]),
@@ -373,9 +374,7 @@ class ImageSources:
 
 def _are_alike(a, b) -> bool:
     """Return whether two planes, (4,) normal and offset, are one to the echoes of image sources."""
-    return bool(
-        np.abs(a[:3] - b[:3]).max() < kernels.SAME_PLANE and abs(a[3] - b[3]) < kernels.SAME_PLANE * a[3]
-    )
+    return bool(np.abs(a[:3] - b[:3]).max() < SAME_PLANE and abs(a[3] - b[3]) < SAME_PLANE * a[3])
 
 
 def every_row(samples: SectorSamples, step: int) -> SectorSamples:
@@ -402,7 +401,7 @@ def _view_of(source: ImageSource, single_bounce: float, from_image: bool, strips
     own_index = tuple(source.own_index)
     sectors = source.image_view if from_image else source.own_view
     reflections = tuple(
-        kernels.Reflection(
+        Reflection(
             azimuth_rad=sector.azimuth_rad,
             to_other=source.pose.sonar_from_image if from_image else source.pose.image_from_sonar,
             ceiling=source.ceiling,

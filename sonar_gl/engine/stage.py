@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import Beamformer, make_beamformer
 from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
-from sonar_gl.beamform.kernels import view_index
+from sonar_gl.beamform.kernels.views import view_index
 from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.core.array_pool import ArrayPools
 from sonar_gl.core.memory import return_free_memory

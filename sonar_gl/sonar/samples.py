@@ -36,7 +36,7 @@ class SectorSamples(NamedTuple):
 
     @property
     def lattice(self) -> tuple:
-        """A plain tuple of `beamform.kernels.Lattice`."""
+        """A plain tuple of `beamform.kernels.strips.Lattice`."""
         sector = self.sector
         turn = math.sin(sector.azimuth_rad), math.cos(sector.azimuth_rad)
         return sector.u, sector.v, sector.tan_low, sector.tan_high, sector.columns, *turn

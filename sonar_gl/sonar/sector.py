@@ -207,7 +207,7 @@ def _greatest_lean(azimuth_rad: float, half_width_rad: float, tan_elevation: flo
     within = aside - abs(azimuth_rad)
     sine, cosine = math.sin(abs(azimuth_rad)), math.cos(azimuth_rad)
     u = -math.tan(within)
-    # of the cone through (u, v), see `beamform.kernels`, where its derivative with v is zero
+    # of the cone through (u, v), see `beamform.kernels.strips`, where its derivative with v is zero
     v = min(tan_elevation / math.cos(within), math.sqrt(max(1 + sine * u / cosine, 0.0)))
     return (sine - cosine * u) * v / max(cosine * (1 + v * v) + sine * u, 1e-9)
 

@@ -9,9 +9,10 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.reference import reference_ping
-from sonar_gl.beamform import kernels
 from sonar_gl.beamform.beamformer import make_beamformer
-from sonar_gl.beamform.kernels import LINE_U, SAMPLE, TILT, V_RAY
+from sonar_gl.beamform.kernels import work_table
+from sonar_gl.beamform.kernels.strips import Lattice, lay_on_cone
+from sonar_gl.beamform.kernels.work_table import LINE_U, SAMPLE, TILT, V_RAY
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sector import cone_end_rad
@@ -100,12 +101,12 @@ def test_the_sample_of_a_row_is_the_nearest_to_the_strip(name):
     sonar, max_elevation_deg = FANS[name]
     beams = BeamShape(0.03, False, max_elevation_deg=max_elevation_deg, are_cones=True)
     fan = make_fan(sonar, sg.Sampling(1, 64), beams)
-    work, n_inside = kernels.make_work(), 0
+    work, n_inside = work_table.make_work(), 0
     for sector in fan.sectors:
-        lattice = kernels.Lattice(*SectorSamples(sector, None, None).lattice)
+        lattice = Lattice(*SectorSamples(sector, None, None).lattice)
         strips, j = sector.strips, np.arange(sector.rows)
         for p in range(0, len(strips.middle), 7):
-            kernels.lay_on_cone(work, lattice, strips.middle[p], 0, sector.rows)
+            lay_on_cone(work, lattice, strips.middle[p], 0, sector.rows)
             i, line_u, tilt, v = work[[SAMPLE, LINE_U, TILT, V_RAY], : sector.rows]
             inside = (v > strips.v_low[p]) & (v < strips.v_high[p])
             off = (line_u + tilt * v - (sector.u[0] + sector.u[1] * i + sector.u[2] * j)) / sector.u[1]

@@ -8,20 +8,11 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, make_beamformer
-from sonar_gl.beamform.kernels import (
-    ENERGY,
-    SHORT_RAMP,
-    SLANT,
-    A,
-    B,
-    S,
-    beam_tiles,
-    bin_table,
-    make_work,
-    spread_footprints,
-    sum_points,
-    weigh_columns,
-)
+from sonar_gl.beamform.kernels.beams import beam_tiles, weigh_columns
+from sonar_gl.beamform.kernels.column_sums import sum_points
+from sonar_gl.beamform.kernels.range_bins import bin_table
+from sonar_gl.beamform.kernels.spreading import SHORT_RAMP, spread_footprints
+from sonar_gl.beamform.kernels.work_table import ENERGY, SLANT, A, B, S, make_work
 from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import BeamShape, make_fan

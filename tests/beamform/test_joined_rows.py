@@ -7,7 +7,11 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels import range_bins, work_table
+from sonar_gl.beamform.kernels.footprints import bend_footprints
+from sonar_gl.beamform.kernels.joined_rows import find_faces, gather_pieces
+from sonar_gl.beamform.kernels.range_bins import piece_limits
+from sonar_gl.beamform.kernels.strips import Lattice
 
 SONAR = sg.Sonar("fan", 900e3, 64, 300, 45.0, 20.0, 1.0, 0.5, 15.0)
 IDEAL = sg.Acoustics.ideal()
@@ -25,7 +29,7 @@ def ping_of(bodies, acoustics=IDEAL, sampling=None, pose=HERE, sonar=SONAR, **se
 @pytest.fixture
 def piece_height(monkeypatch):
     """Return a function that sets the height of a piece, radians; 0 joins no rows."""
-    return lambda height_rad: monkeypatch.setattr(kernels, "piece_limits", lambda *_: (height_rad, np.inf))
+    return lambda height_rad: monkeypatch.setattr(range_bins, "piece_limits", lambda *_: (height_rad, np.inf))
 
 
 def difference(ping, other):
@@ -101,7 +105,7 @@ def test_elevation_and_incidence_change_within_a_joined_footprint(piece_height):
     expected = np.radians(20) - below
     np.testing.assert_allclose(got.elevation_rad[:, lit], expected, atol=1.5e-3)
     np.testing.assert_allclose(got.incidence_rad[:, lit], np.pi / 2 - below, atol=1.5e-3)
-    piece_rad, piece_m = kernels.piece_limits(narrow.bin_edges_m)
+    piece_rad, piece_m = piece_limits(narrow.bin_edges_m)
     assert min(piece_rad, np.sqrt(piece_m / 15.0)) > 3 * 1.5e-3
 
 
@@ -123,9 +127,9 @@ def test_two_coplanar_bodies_end_where_they_do():
 
 def test_pieces_follow_from_bins_range_and_aperture():
     edges = np.linspace(1.0, 31.0, 601)
-    _, piece_m = kernels.piece_limits(edges)
+    _, piece_m = piece_limits(edges)
     assert piece_m / 8 == pytest.approx(0.05 / 160)  # r h² / 8
-    assert kernels.piece_limits(edges, np.radians(4.0)) == pytest.approx((np.radians(4.0) / 16, piece_m))
+    assert piece_limits(edges, np.radians(4.0)) == pytest.approx((np.radians(4.0) / 16, piece_m))
 
 
 @pytest.mark.parametrize("value", [np.nan, 1e300, -1.0])
@@ -137,14 +141,14 @@ def test_no_bit_depends_on_what_was_in_memory_beside_a_strip(acoustics, value, m
     plate = sg.Body("plate", trimesh.creation.box((6.0, 0.2, 6.0)), sg.pose(y=3.5, z=-2.0), material="steel")
     bodies = [TANK, plate]
     clean = ping_of(bodies, acoustics, labels=True)
-    make_work = kernels.make_work
+    make_work = work_table.make_work
 
     def make_filled():
         work = make_work()
         work[:, :1000] = value
         return work
 
-    monkeypatch.setattr(kernels, "make_work", make_filled)
+    monkeypatch.setattr(work_table, "make_work", make_filled)
     filled = ping_of(bodies, acoustics, labels=True)
     for name in (
         "intensity",
@@ -175,36 +179,36 @@ def test_a_face_begins_where_its_number_changes(numbers, begins, column):
     bottom, n = 2, len(numbers)
     face_id = np.full((n + 3, 3), 9, np.int32)
     face_id[bottom : bottom + n, column] = numbers
-    work = kernels.make_work()
-    work[kernels.SAMPLE, :n] = column
-    assert kernels.find_faces(work, face_id, 3, bottom, n) == len(begins)
-    np.testing.assert_array_equal(work[kernels.START, : len(begins) + 1], [*begins, n])
+    work = work_table.make_work()
+    work[work_table.SAMPLE, :n] = column
+    assert find_faces(work, face_id, 3, bottom, n) == len(begins)
+    np.testing.assert_array_equal(work[work_table.START, : len(begins) + 1], [*begins, n])
     # beside the window nothing is met, whatever lies there in memory
     for outside in (-1.0, 3.0):
-        work[kernels.SAMPLE, :n] = outside
-        assert kernels.find_faces(work, face_id, 3, bottom, n) == 1
+        work[work_table.SAMPLE, :n] = outside
+        assert find_faces(work, face_id, 3, bottom, n) == 1
 
 
 def test_the_echo_of_a_piece_is_the_mean_of_its_rows_and_rises_as_they_do():
     """Exactly, where it is linear and the piece has a middle row, or no more than two rows."""
     n_rows, begins, step = 11, [0, 1, 3, 6, 11], 0.01
-    lattice = kernels.Lattice(np.array([0.0, step, 0.0]), np.array([0.05, 0.0, step]), -0.2, 0.2, 1, 0.0, 1.0)
+    lattice = Lattice(np.array([0.0, step, 0.0]), np.array([0.05, 0.0, step]), -0.2, 0.2, 1, 0.0, 1.0)
     image = np.empty((n_rows, 1, 4), np.float32)
     image[..., :3], echo = (0.2, 0.0, 0.0), 0.5 + 0.03125 * np.arange(n_rows)
     image[:, 0, 3] = echo
-    work = kernels.make_work()
-    work[kernels.SAMPLE, :n_rows] = 0.0
-    work[kernels.LINE_U, 0] = 0.0
-    work[kernels.PIECE, : len(begins)] = begins
-    assert kernels.gather_pieces(work, image, lattice, 0, len(begins) - 1, False) == (0, len(begins) - 2)
+    work = work_table.make_work()
+    work[work_table.SAMPLE, :n_rows] = 0.0
+    work[work_table.LINE_U, 0] = 0.0
+    work[work_table.PIECE, : len(begins)] = begins
+    assert gather_pieces(work, image, lattice, 0, len(begins) - 1, False) == (0, len(begins) - 2)
     for k, (begin, past) in enumerate(pairwise(begins)):
         mean = echo[begin:past].mean()
-        assert work[kernels.ECHO, k] == pytest.approx(mean, rel=1e-12)
+        assert work[work_table.ECHO, k] == pytest.approx(mean, rel=1e-12)
         # of one row nothing tells a rise; of more it is that up to half a row beyond the last
         rise = 0.03125 * (past - begin) / 2 / mean if past - begin > 1 else 0.0
-        assert work[kernels.ECHO_RISE, k] == pytest.approx(rise, rel=1e-12)
+        assert work[work_table.ECHO_RISE, k] == pytest.approx(rise, rel=1e-12)
         rays = 0.05 + step * np.array([begin, past - 1])
-        assert work[[kernels.V_LOWEST, kernels.V_HIGHEST], k] == pytest.approx(rays)
+        assert work[[work_table.V_LOWEST, work_table.V_HIGHEST], k] == pytest.approx(rays)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
@@ -231,23 +235,23 @@ def test_a_footprint_of_several_rows_ends_where_its_plane_does_to_second_order(p
     low, high = middle - half, middle + half
     v, weights = np.polynomial.legendre.leggauss(12)
     v = middle + half * v
-    work = kernels.make_work()
+    work = work_table.make_work()
     values = {
-        kernels.REST: rest,
-        kernels.ALONG: along,
-        kernels.LINE_U: line,
-        kernels.TILT: tilt,
-        kernels.ENERGY: 2 * half / length(middle) ** 3,
-        kernels.S: s_at(middle),
-        kernels.B: abs(slope_at(middle)) * half,
-        kernels.ECHO_RISE: 0.07,
+        work_table.REST: rest,
+        work_table.ALONG: along,
+        work_table.LINE_U: line,
+        work_table.TILT: tilt,
+        work_table.ENERGY: 2 * half / length(middle) ** 3,
+        work_table.S: s_at(middle),
+        work_table.B: abs(slope_at(middle)) * half,
+        work_table.ECHO_RISE: 0.07,
     }
     for row, value in values.items():
-        work[row, : at + 2 * kernels.AT_A_TIME] = value
-    work[kernels.A] = 0.0
-    work[kernels.BORDER, at], work[kernels.BORDER, at + 1] = low, high
-    kernels.bend_footprints(work, at, at + 1, 1e12 if is_slanted else 1e-12)
-    energy, s, b, change = work[[kernels.ENERGY, kernels.S, kernels.B, kernels.NEAR_BIN], at]
+        work[row, : at + 2 * work_table.AT_A_TIME] = value
+    work[work_table.A] = 0.0
+    work[work_table.BORDER, at], work[work_table.BORDER, at + 1] = low, high
+    bend_footprints(work, at, at + 1, 1e12 if is_slanted else 1e-12)
+    energy, s, b, change = work[[work_table.ENERGY, work_table.S, work_table.B, work_table.NEAR_BIN], at]
     # of mean and energy the fourth order in `half` is left out, of ends the third; the second is some 1e-5
     assert energy == pytest.approx(half * (weights / length(v) ** 3).sum(), rel=1e-9)
     if is_slanted:

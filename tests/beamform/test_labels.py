@@ -8,9 +8,12 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.beamform import kernels, labels, workspace
+from sonar_gl.beamform import labels, workspace
 from sonar_gl.beamform.beamformer import Beamformer
-from sonar_gl.beamform.kernels import asin, atan, bin_table
+from sonar_gl.beamform.kernels import work_table
+from sonar_gl.beamform.kernels.footprints import keep_within
+from sonar_gl.beamform.kernels.moments import asin, atan
+from sonar_gl.beamform.kernels.range_bins import bin_table
 from sonar_gl.beamform.labels import BEYOND_BODY, label_columns
 from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.embed.sensor import Sensor
@@ -736,16 +739,16 @@ def test_no_label_lies_nearer_than_the_upright_edge_of_a_box(engine, tolerance, 
     ],
 )
 def test_a_long_footprint_is_kept_between_two_ranges_with_its_echo(s, a, b, ends):
-    work = kernels.make_work()
-    work[[kernels.S, kernels.A, kernels.B, kernels.ENERGY], 7] = s, a, b, 0.6
-    kernels.keep_within(work, 7, *ends)
-    middle, half = work[kernels.S, 7], work[kernels.A, 7] + work[kernels.B, 7]
+    work = work_table.make_work()
+    work[[work_table.S, work_table.A, work_table.B, work_table.ENERGY], 7] = s, a, b, 0.6
+    keep_within(work, 7, *ends)
+    middle, half = work[work_table.S, 7], work[work_table.A, 7] + work[work_table.B, 7]
     far, near = max(s - a - b, ends[0]), min(s + a + b, ends[1])
     expected = ((far + near) / 2, (near - far) / 2) if near > far else (ends[0], 0.0)
     assert (middle, half) == pytest.approx(expected, abs=1e-15)
-    assert work[kernels.ENERGY, 7] * middle == pytest.approx(0.6 * s, rel=1e-14)
+    assert work[work_table.ENERGY, 7] * middle == pytest.approx(0.6 * s, rel=1e-14)
     if half > 0:
-        assert work[kernels.A, 7] / half == pytest.approx(a / (a + b), rel=1e-14)
+        assert work[work_table.A, 7] / half == pytest.approx(a / (a + b), rel=1e-14)
 
 
 @pytest.mark.parametrize("n_beams, n_bins", [(1, 1), (1, 65), (4, 64), (5, 63)])

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from sonar_gl.beamform import kernels
-from sonar_gl.beamform.kernels import Strip
+from sonar_gl.beamform.kernels import work_table
+from sonar_gl.beamform.kernels.image_sources import find_other_leg, find_single_bounce
+from sonar_gl.beamform.kernels.strips import Strip
 from tests.support.worlds import random_rotation
 
 FIRST, LAST = 2, 42  # samples of the strip
@@ -39,14 +40,14 @@ class Samples:
 
     def work(self):
         """Return `work` as strips are gathered."""
-        out = kernels.make_work()
+        out = work_table.make_work()
         rows = {
-            kernels.BORDER: self.border,
-            kernels.LINE_U: self.line_u,
-            kernels.TILT: self.tilt,
-            kernels.REST: self.q + self.slope_u * self.line_u,
-            kernels.ALONG: self.slope_v + self.slope_u * self.tilt,
-            kernels.ALONG_U: self.slope_u,
+            work_table.BORDER: self.border,
+            work_table.LINE_U: self.line_u,
+            work_table.TILT: self.tilt,
+            work_table.REST: self.q + self.slope_u * self.line_u,
+            work_table.ALONG: self.slope_v + self.slope_u * self.tilt,
+            work_table.ALONG_U: self.slope_u,
         }
         for row, values in rows.items():
             out[row, : len(values)] = values
@@ -77,7 +78,7 @@ def samples(request):
 def test_the_other_one_lies_before_a_plane_or_behind_it(samples):
     """SIDE is its distance from the plane over that of the one, positive on the same side."""
     work = samples.work()
-    kernels.find_other_leg.py_func(work, samples.strip, samples.other)
+    find_other_leg.py_func(work, samples.strip, samples.other)
     there = -samples.other[:, :3].T @ samples.other[:, 3]
     sides = []
     for m in range(FIRST, LAST):
@@ -85,11 +86,11 @@ def test_the_other_one_lies_before_a_plane_or_behind_it(samples):
         place = samples.place(m, u, v)
         expected = samples.other[:, :3] @ place + samples.other[:, 3]
         np.testing.assert_allclose(
-            work[[kernels.X, kernels.Y, kernels.Z], m], expected, rtol=1e-12, atol=1e-12
+            work[[work_table.X, work_table.Y, work_table.Z], m], expected, rtol=1e-12, atol=1e-12
         )
         normal = np.cross(samples.place(m, u + 0.1, v) - place, samples.place(m, u, v + 0.1) - place)
         side = normal @ (there - place) / (normal @ (-place))
-        assert work[kernels.SIDE, m] == pytest.approx(side, rel=1e-9, abs=1e-9)
+        assert work[work_table.SIDE, m] == pytest.approx(side, rel=1e-9, abs=1e-9)
         sides.append(side)
     assert min(sides) < 0 < max(sides)
 
@@ -97,13 +98,13 @@ def test_the_other_one_lies_before_a_plane_or_behind_it(samples):
 def test_single_bounce_footprints_are_those_of_the_mean_of_both_ranges(samples):
     work, strip = samples.work(), samples.strip
     rng = np.random.default_rng(6)
-    work[kernels.REFLECTED, :LAST], work[kernels.BISTATIC, :LAST] = rng.uniform(0.1, 1, (2, LAST))
-    kernels.find_other_leg.py_func(work, strip, samples.other)
-    kernels.find_single_bounce.py_func(work, strip, FIRST, LAST, samples.other, 2.0)
+    work[work_table.REFLECTED, :LAST], work[work_table.BISTATIC, :LAST] = rng.uniform(0.1, 1, (2, LAST))
+    find_other_leg.py_func(work, strip, samples.other)
+    find_single_bounce.py_func(work, strip, FIRST, LAST, samples.other, 2.0)
     for m in range(FIRST, LAST):
         u, v = samples.middle(m)
         s, (here, there) = samples.s(m, u, v), samples.ranges(m, u, v)
-        assert work[kernels.S, m] == pytest.approx(s, rel=1e-12)
+        assert work[work_table.S, m] == pytest.approx(s, rel=1e-12)
         across = strip.width
         if strip.are_cones:  # width is that of the sine of the cone, about the place of the sample
             length = math.sqrt(1 + u * u + v * v)
@@ -112,13 +113,13 @@ def test_single_bounce_footprints_are_those_of_the_mean_of_both_ranges(samples):
             across *= abs(more - less) / (2 * STEP)
         half = abs(samples.s(m, u + STEP, v) - samples.s(m, u - STEP, v)) / (2 * STEP) * across / 2
         # differences over 1e-5 err by its square, and by rounding over it
-        assert work[kernels.A, m] == pytest.approx(half, rel=1e-6, abs=1e-12)
+        assert work[work_table.A, m] == pytest.approx(half, rel=1e-6, abs=1e-12)
         low, high = samples.border[m], samples.border[m + 1]
         ends = [samples.s(m, samples.line_u[m] + samples.tilt[m] * end, end) for end in (low, high)]
-        assert work[kernels.B, m] == pytest.approx(abs(ends[1] - ends[0]) / 2, rel=1e-9, abs=1e-14)
+        assert work[work_table.B, m] == pytest.approx(abs(ends[1] - ends[0]) / 2, rel=1e-9, abs=1e-14)
         solid_angle = across * (high - low) / (1 + u * u + v * v) ** 1.5
         # spreading there and back, over that of the mean range, by which the bin's gain is
         spreading = ((here + there) / 2 / there) ** 2
-        strength = 2.0 * work[kernels.REFLECTED, m] * work[kernels.BISTATIC, m]
-        assert work[kernels.ENERGY, m] * s == pytest.approx(strength * spreading * solid_angle, rel=1e-6)
-        assert work[kernels.SLANT, m] == 0.0
+        strength = 2.0 * work[work_table.REFLECTED, m] * work[work_table.BISTATIC, m]
+        assert work[work_table.ENERGY, m] * s == pytest.approx(strength * spreading * solid_angle, rel=1e-6)
+        assert work[work_table.SLANT, m] == 0.0

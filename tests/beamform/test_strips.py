@@ -9,15 +9,9 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.beamform.beamformer import make_beamformer
-from sonar_gl.beamform.kernels import (
-    BORDER,
-    MAX_STRIP_ROWS,
-    Lattice,
-    StripTable,
-    bin_table,
-    find_strip,
-    make_work,
-)
+from sonar_gl.beamform.kernels.range_bins import bin_table
+from sonar_gl.beamform.kernels.strips import Lattice, StripTable, find_strip
+from sonar_gl.beamform.kernels.work_table import BORDER, MAX_STRIP_ROWS, make_work
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.sonar.samples import NO_FACES
 

@@ -8,7 +8,8 @@ from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.sonar.fan import Fan
 
 SONAR = sg.Sonar("shared", 900e3, 32, 100, 30.0, 10.0, 1.0, 0.5, 10.0)
-SAMPLINGS = sg.Sampling(3, 16), sg.Sampling(9, 40), sg.Sampling(3, 16)  # of few columns, of many, of few again
+# of few columns, of many, of few again
+SAMPLINGS = sg.Sampling(3, 16), sg.Sampling(9, 40), sg.Sampling(3, 16)
 
 
 def points_in(fan: Fan, seed: int) -> np.ndarray:

@@ -1,6 +1,8 @@
 """Compiled functions: tables whose shape the compiler knows, and what is said of compilation."""
 
+import os
 import resource
+import zipfile
 from pathlib import Path
 
 import numba
@@ -8,14 +10,14 @@ import numpy as np
 import pytest
 
 from sonar_gl.core import compiled as module
-from sonar_gl.core.compiled import announce_compilation, as_table, compiled, reason_not_kept
+from sonar_gl.core.compiled import announce_compilation, as_table, compiled, reason_not_kept, sources_of
 from sonar_gl.core.errors import Error
-from tests.support.processes import python
+from tests.support.processes import HOME, python
 
 
 @pytest.mark.parametrize(
     ("module", "is_announced"),
-    [("sonar_gl.beamform.kernels", True), ("program_of_a_user", False), (None, False)],
+    [("sonar_gl.beamform.kernels.strips", True), ("program_of_a_user", False), (None, False)],
 )
 def test_only_kernels_of_this_package_are_announced(module, is_announced, capsys):
     """An early version announced its kernels when a program compiled a function of its own.
@@ -40,7 +42,7 @@ def test_the_announcement_says_whether_the_machine_code_is_kept(is_kept, tmp_pat
     def add(x):
         return x + 1
 
-    add.__module__ = "sonar_gl.beamform.kernels"
+    add.__module__ = "sonar_gl.beamform.kernels.strips"
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path) if is_kept else "")
     announce_compilation(True)
     assert numba.njit(cache=is_kept)(add)(1) == 2
@@ -102,6 +104,87 @@ def test_files_of_machine_code_that_stay_damaged_are_named(tmp_path, monkeypatch
     file.mkdir()  # neither read nor replaced, as a file of another user may be
     with pytest.raises(Error, match=f"kept in '{Path(file).parent}' must be readable .* delete that folder"):
         kept_function()(1)
+
+
+SOURCES = {
+    "__init__": "",
+    "constants": "STEP = 1",
+    "inner": """
+from kernels.constants import STEP
+from sonar_gl.core.compiled import compiled
+
+@compiled
+def add(x):
+    return x + STEP
+""",
+    "outer": """
+from kernels.inner import add
+from sonar_gl.core.compiled import compiled
+
+@compiled
+def add_twice(x):
+    return add(add(x))
+""",
+}
+RUN = """
+from kernels.outer import add_twice
+print(add_twice(1), sum(add_twice.stats.cache_hits.values()))
+"""
+
+
+def test_machine_code_is_outdated_by_any_file_of_its_package(tmp_path):
+    """Numba knows the file of the function alone: it would run with what it calls as that was before."""
+
+    def run(**changed):
+        package = tmp_path / "kernels"
+        package.mkdir(exist_ok=True)
+        for name, text in {**SOURCES, **changed}.items():
+            (package / f"{name}.py").write_text(text)
+            os.utime(package / f"{name}.py", (1e9, 1e9))  # as of an archive whose files all have one time
+        path = os.pathsep.join([str(tmp_path), HOME])
+        environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path}
+        value, hits = map(int, python("-c", RUN, environment=environment, check=True).stdout.split())
+        return value, hits
+
+    assert [run(), run()] == [(3, 0), (3, 1)]
+    other_function = SOURCES["inner"].replace("x + STEP", "x + 2 * STEP")
+    assert [run(inner=other_function), run(inner=other_function)] == [(5, 0), (5, 1)]
+    assert [run(constants="STEP = 10"), run(constants="STEP = 10")] == [(21, 0), (21, 1)]
+
+
+def test_machine_code_of_a_package_in_an_archive_is_outdated_by_the_archive(tmp_path):
+    def run(**changed):
+        with zipfile.ZipFile(tmp_path / "program.zip", "w") as archive:
+            for name, text in {**SOURCES, **changed}.items():
+                archive.writestr(f"kernels/{name}.py", text)
+        path = os.pathsep.join([str(tmp_path / "program.zip"), HOME])
+        environment = {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": path}
+        return int(python("-c", RUN, environment=environment, check=True).stdout.split()[0])
+
+    assert [run(), run(), run(constants="STEP = 10")] == [3, 3, 21]
+
+
+def test_sources_of_a_function_are_its_file_or_its_package(tmp_path):
+    """A file that is not there, as in an executable, has no others beside it."""
+    own = module.__file__
+    for name in ("a.py", "b.py", "kernels/a.py", "kernels/b.py", "kernels/c.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    for name, others in {"b.py": [], "kernels/b.py": ["kernels/a.py"], "absent/kernels/b.py": []}.items():
+        assert sources_of(str(tmp_path / name)) == [*(str(tmp_path / one) for one in (name, *others)), own]
+
+
+def test_functions_of_an_executable_run_and_are_kept(tmp_path):
+    code = """
+import sys
+from sonar_gl.core.compiled import compiled
+sys.frozen, names = True, {}
+exec(compile("def add(x): return x + 1", "kernels/absent.py", "exec"), names)
+add = compiled(names["add"])
+print(add(1), add.stats.cache_path is not None)
+"""
+    done = python("-c", code, environment={"XDG_CACHE_HOME": str(tmp_path)}, check=True, cwd=tmp_path)
+    assert done.stdout.split() == ["2", "True"]
 
 
 def test_a_table_of_known_shape_lies_in_the_memory_of_its_array():

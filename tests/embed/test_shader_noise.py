@@ -16,7 +16,7 @@ ULPS = 8  # a sloppy reciprocal: OpenGL demands 2.5 of division, and w is the re
 ECHO_BOUND = 1e-4
 # A slope has the noise of two lanes over the spacing of the samples (5 mrad and less here): 7e-7 / 5e-3 = 1.4e-4 rad
 # for one sample. A bin where two planes meet mixes their angles by the footprints' shares. Where noise decides whether
-# the planes count as one (SAME in kernels.py), the border between them shifts by half a sample at most: by a hundredth
+# the planes count as one (SAME in borders.py), the border between them shifts by half a sample at most: by a hundredth
 # of the angle between them in a bin of some dozens of footprints, in few bins of a scene.
 INCIDENCE_BOUND_RAD, WORST_RAD, SHARE_BEYOND = 5e-3, 0.02, 1e-4
 

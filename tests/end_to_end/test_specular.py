@@ -11,7 +11,7 @@ import sonar_gl as sg
 from sonar_gl.acoustics.boundary import specular_lobe
 from sonar_gl.analysis import rays
 from sonar_gl.analysis.verify import ping_error
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels import range_bins
 from sonar_gl.engine.visibility import BodyExtents
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu.visibility_buffer import lobe_times_range
@@ -151,7 +151,7 @@ def test_both_engines_give_the_same_lobes(monkeypatch):
     both = []
     bodies = shiny_world()
     monkeypatch.setattr(
-        kernels, "piece_limits", lambda *_: (0.0, 0.0)
+        range_bins, "piece_limits", lambda *_: (0.0, 0.0)
     )  # one engine alone knows faces, and joins rows
     for engine in ("cpu", "opengl"):
         monkeypatch.setenv("SONAR_GL_ENGINE", engine)

@@ -300,6 +300,37 @@ def test_modules_and_files_that_are_named_exist():
     check_quoted(missing, "these were moved or removed", lambda word: "/" in word)
 
 
+COMPILED = {"compiled", "rounded_alike", "uncounted", "inlined"}
+
+
+def uses_of_other_sources(path):
+    """Names that compiled functions of a module use, and that it imports from others than `sources_of` lists."""
+    if not re.search(rf"^@({'|'.join(COMPILED)})$", text_of(path), re.MULTILINE):
+        return
+    together = ["sonar_gl.core.compiled"]
+    if path.parent.name == "kernels":
+        together.append(name_of(path.parent).replace("/", "."))
+    outside = {
+        alias.asname or alias.name
+        for node in nodes_of(path)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sonar_gl")
+        if not any(f"{node.module}.".startswith(f"{one}.") for one in together)
+        for alias in node.names
+    }
+    for node in nodes_of(path):
+        decorators = node.decorator_list if isinstance(node, ast.FunctionDef) else ()
+        if any(isinstance(one, ast.Name) and one.id in COMPILED for one in decorators):
+            body = ast.Module(node.body, [])
+            used = {one.id for one in ast.walk(body) if isinstance(one, ast.Name)}
+            yield from ((node.name, name) for name in used & outside)
+
+
+def test_compiled_functions_use_their_own_sources():
+    """Machine code on disk would go on with what another file said before it was changed."""
+    found = {(name_of(path), *use) for path in sources(*PACKAGE) for use in uses_of_other_sources(path)}
+    assert found == set(), "give it as an argument, or move it into a package named kernels"
+
+
 # Constants of one name in several modules that mean different things: name: why.
 OF_ONE_NAME = {
     "POINTS": "kernels use constants of their own file alone",

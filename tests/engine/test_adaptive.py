@@ -774,7 +774,7 @@ class TestPlan:
 
     def test_an_estimate_just_above_the_tolerance_reads_so(self, monkeypatch):
         """It read "tolerance 0.02 cannot be met: the estimate is 0.02"."""
-        monkeypatch.setattr("sonar_gl.engine.error_model.FINEST_LEVEL", 6)
+        monkeypatch.setattr("sonar_gl.engine.level_search.FINEST_LEVEL", 6)
         scene = sg.Scene([ball(x=10, radius=0.5)])
         tolerance = 0.001
         for _ in range(2):

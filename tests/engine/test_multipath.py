@@ -9,7 +9,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels.image_sources import GRID, estimate_reflection
+from sonar_gl.beamform.kernels.views import SECTOR
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import image_sampling, multipath, pipeline
 from sonar_gl.engine.replan_trigger import CHECK_EVERY
@@ -325,7 +326,7 @@ def test_a_smooth_plate_in_the_plane_of_the_floor_is_not_taken_for_the_floor(mon
 
 def test_the_estimate_of_reflections_reads_no_samples_beside_a_window():
     """Its directions lie half way between the last sample of a window and the next one, which is far brighter here."""
-    rng, n, rows, columns = np.random.default_rng(0), kernels.GRID, 5, 7
+    rng, n, rows, columns = np.random.default_rng(0), GRID, 5, 7
     image = np.full((rows + 2, columns + 2, 4), 1e9, np.float32)
     image[1:-1, 1:-1] = 0.2, 0.0, 0.0, 1.0
     nothing = np.zeros((0, 4)), np.zeros(0, bool), np.zeros((0, 3))
@@ -340,9 +341,9 @@ def test_the_estimate_of_reflections_reads_no_samples_beside_a_window():
         v0 = v - step_v * (2, 2, rows - 0.5, -0.5)[trial % 4] + rng.normal() * 3e-17
         lattice = u0, step_u, 0.0, v0, 0.0, step_v, 1 / step_u, 0.0, 0.0, 1 / step_v
         limits = math.cos(azimuth), math.sin(azimuth), half_width, -tan_high, tan_high
-        sector = np.array([(*limits, *lattice, 1, columns, rows)], kernels.SECTOR)
+        sector = np.array([(*limits, *lattice, 1, columns, rows)], SECTOR)
         view = image[1:], sector  # there is a row beyond the last, but none before the first
-        echo = kernels.estimate_reflection(view, *nothing, 30.0, np.empty(0), np.empty(0))
+        echo = estimate_reflection(view, *nothing, 30.0, np.empty(0), np.empty(0))
         assert echo < 100, trial
 
 

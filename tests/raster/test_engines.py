@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels import range_bins
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu import engine as cpu
 from sonar_gl.raster.cull import SectorGeometry
@@ -163,7 +163,7 @@ def test_images_of_bundled_scenes(name, monkeypatch):
 
     The faces that join rows are known of one engine alone; tests/beamform/test_joined_rows.py has what they change.
     """
-    monkeypatch.setattr(kernels, "piece_limits", lambda *_: (0.0, 0.0))
+    monkeypatch.setattr(range_bins, "piece_limits", lambda *_: (0.0, 0.0))
     scene, sonar, images = sg.load_scene(name), sg.load_sonar("p900-45"), []
     for engine in ("cpu", "opengl"):
         with sg.Simulator(scene, sonar, sampling=sg.Sampling(1, 100), engine=engine) as simulator:

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels import range_bins
 from sonar_gl.raster.opengl.sheets import draw_near, sheet_of
 from sonar_gl.scene import primitives
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M
@@ -67,7 +67,7 @@ def test_an_infinite_plane_is_where_it_is(engine, sonar):
 @pytest.mark.parametrize("sonar", [SONAR, AROUND], ids=["ahead", "around"])
 def test_images_of_infinite_planes(sonar, profile, monkeypatch):
     """They differed by up to 1.5e-3 of the echo."""
-    monkeypatch.setattr(kernels, "piece_limits", lambda *_: (0.0, 0.0))  # the engine cpu alone knows faces
+    monkeypatch.setattr(range_bins, "piece_limits", lambda *_: (0.0, 0.0))  # the engine cpu alone knows faces
     upright = sg.pose(7.0, pitch=np.pi / 2)
     planes = primitives.plane()[0], primitives.plane(normal=(1.0, 2.0, 3.0))[0]
     bodies = [

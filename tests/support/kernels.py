@@ -11,6 +11,7 @@ from pathlib import Path
 import numba
 
 import sonar_gl
+from sonar_gl.core.compiled import sources_of
 
 PROGRAM = """
 from sonar_gl.cli.warm_up import cache_folder, compile_everything
@@ -42,14 +43,15 @@ def compile_kernels(cache, say) -> None:
 
 
 def _state_of_files() -> dict:
-    """Return what Numba looks kept machine code up by: states of the files of kernels, versions, and the folder."""
+    """Return what kept machine code is looked up by: states of the sources of kernels, versions, and the folder."""
     found = {"python": sys.version, "numba": numba.__version__, "folder": str(numba.config.CACHE_DIR)}
     for path in sorted(PACKAGE.rglob("*.py")):
         if re.search(
             r"^@(compiled|rounded_alike|uncounted)\b", path.read_text(encoding="utf-8"), re.MULTILINE
         ):
-            state = path.stat()
-            found[str(path)] = [state.st_mtime_ns, state.st_size]
+            for source in sources_of(str(path)):
+                state = os.stat(source)
+                found[source] = [state.st_mtime_ns, state.st_size]
     return found
 
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 import sonar_gl as sg
-from sonar_gl.beamform import kernels
+from sonar_gl.beamform.kernels.beams import beam_tiles, weigh_columns
+from sonar_gl.beamform.kernels.range_bins import bin_table
 from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import BeamShape, make_fan
@@ -23,7 +24,7 @@ class Rival:
     fan : Fan
     halves : two slices of its columns, one for each thread
     sums : (columns, K) float32, which the rivals fill; all of it counts
-    bins : kernels.BinTable
+    bins : BinTable
     gain : (K,) float32
     renderer : what draws, as in `Simulator.gl_info`
     """
@@ -40,14 +41,14 @@ class Rival:
             fan = replace(fan, sectors=sectors, column_edges_rad=edges)
         self.sonar, self.fan, self.thread = sonar, fan, SecondThread()
         self.weights, self.is_box = beam_weights(fan, pattern, reach), pattern is None
-        self.tiles = tuple(kernels.beam_tiles(self.weights.first, self.weights.weights))
+        self.tiles = tuple(beam_tiles(self.weights.first, self.weights.weights))
         n_tiles = len(self.tiles[0])
         self.parts = (0, (n_tiles + 1) // 2), ((n_tiles + 1) // 2, n_tiles)
         self.sums = np.zeros((fan.n_columns, sonar.n_bins), np.float32)
         self.spans = np.tile([0, sonar.n_bins], (fan.n_columns, 1))
         middle = (fan.n_columns + 1) // 2
         self.halves = slice(0, middle), slice(middle, fan.n_columns)
-        self.bins = kernels.bin_table(sonar.bin_edges_m)
+        self.bins = bin_table(sonar.bin_edges_m)
         self.gain = acoustics.range_gain(sonar.range_m, sonar).astype(np.float32)
         self.r_first = sonar.range_min_m
         self.per_metre = sonar.n_bins / (sonar.range_max_m - sonar.range_min_m)
@@ -72,7 +73,7 @@ class Rival:
         out = np.zeros((self.sonar.n_beams, self.sonar.n_bins), np.float32)
 
         def work(half):
-            kernels.weigh_columns(self.sums, self.spans, self.tiles, self.parts[half], self.gain, out)
+            weigh_columns(self.sums, self.spans, self.tiles, self.parts[half], self.gain, out)
 
         self.both(work)
         return out

@@ -6,7 +6,7 @@ import numpy as np
 
 import sonar_gl as sg
 from sonar_gl.beamform.beamformer import Beamformer
-from sonar_gl.beamform.kernels import make_work
+from sonar_gl.beamform.kernels.work_table import make_work
 from sonar_gl.sonar.samples import SectorSamples
 from tools.chart.rivals.common import Rival
 from tools.chart.rivals.embree import in_embree, make_packet, trace

@@ -7,7 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from sonar_gl.beamform.kernels import ENERGY, SHORT_RAMP, SLANT, A, B, S, spread_footprints
+from sonar_gl.beamform.kernels.spreading import SHORT_RAMP, spread_footprints
+from sonar_gl.beamform.kernels.work_table import ENERGY, SLANT, A, B, S
 from sonar_gl.core.compiled import compiled
 
 
@@ -127,10 +128,10 @@ def tubes(
 
     Parameters
     ----------
-    work : of kernels.make_work, overwritten
+    work : of work_table.make_work, overwritten
     rays, face, s, echo : (R + 1) (C + 1) rays row by row, at the corners of R by C tubes
     column, width : (C,) fan column, radians of azimuth; height : (R,) steradians to a radian of azimuth
-    first, last : which columns of tubes; bins : kernels.BinTable; sums : added to
+    first, last : which columns of tubes; bins : BinTable; sums : added to
     """
     C = len(column)
     spans = np.zeros((sums.shape[0], 2), np.int64)

@@ -1,0 +1,245 @@
+"""The body with the strongest echo in each bin of each beam, for labels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import uint64
+
+from sonar_gl.beamform.kernels.beams import TILE_BEAMS, BeamTiles
+from sonar_gl.beamform.kernels.moments import MOMENTS
+from sonar_gl.beamform.kernels.runs import COLUMN, FIRST_BIN, PAST_BIN, PLACE, Runs
+from sonar_gl.core.compiled import compiled, inlined
+
+# Bins at a time, so that what a tile's beams read and write stays in fast memory; and the moments of these bins,
+# one row after the other.
+TILE_BINS = 64
+TILE_ROW = MOMENTS * TILE_BINS
+# A fainter echo counts as none: a float32 holds neither its inverse nor its moments.
+FAINTEST = np.float32(1e-37)
+
+
+class StrongestEcho(NamedTuple):
+    """What is known of the strongest body's echo in each bin: (B, K) arrays, overwritten.
+
+    share : float32, of all echo in the bin; body_id : uint16
+    background : float32, the echo of background bodies; of no length if it is not wanted
+    means : (3, B, K) float32: mean elevation and incidence, radians, and range, metres
+    """
+
+    share: np.ndarray
+    body_id: np.ndarray
+    background: np.ndarray
+    means: np.ndarray
+
+
+class Panel(NamedTuple):
+    """The runs of all bodies in one block of bins, side by side; those of one body in one column are added up.
+
+    begins : (m + 1,) where the runs of each body begin and end
+    column : (n,) of each run, rising in each body, counted on from the tiles' first column
+    moments : ((n + 3) TILE_ROW,) float32; what follows a body's last run is finite
+    """
+
+    begins: np.ndarray
+    column: np.ndarray
+    moments: np.ndarray
+
+
+@compiled
+def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_bins, strongest):
+    """Find in each bin of some beams the body with the strongest echo, and what is known of that echo.
+
+    Parameters
+    ----------
+    runs, tiles, strongest : tuples of Runs, BeamTiles and StrongestEcho
+    part : (2,) first and past the last of the tiles that are done
+    n_columns : of `LabelColumns`
+    middle_m : (K,) float32, of BinTable
+    is_background : (numbers,) bool
+    body_bins : (numbers, 2) int64, first bin in which a body may be and past the last; of no length if not known
+    """
+    runs, tiles, strongest = Runs(*runs), BeamTiles(*tiles), StrongestEcho(*strongest)
+    B, K = strongest.share.shape
+    t0, t1 = part
+    if t0 >= t1:  # of few beams the other half has all
+        return
+    width, with_background = tiles.weights.shape[1], strongest.background.shape[0] > 0
+    origin, end = tiles.first[t0:t1].min(), tiles.first[t0:t1].max() + width
+    pasts = tiles.first + width  # past the last column that a beam of the tile receives
+    for t in range(t0, t1):
+        while pasts[t] > tiles.first[t] and not tiles.weights[t, pasts[t] - tiles.first[t] - 1].any():
+            pasts[t] -= 1
+    panel = _make_panel(runs, n_columns, origin, end, K)
+    rows, best = np.empty(TILE_BEAMS * TILE_ROW, np.float32), np.empty(TILE_BEAMS * TILE_ROW, np.float32)
+    total, w = np.empty(TILE_BEAMS * TILE_BINS, np.float32), np.empty(4 * TILE_BEAMS, np.float32)
+    body_id, stronger = np.empty(TILE_BEAMS * TILE_BINS, np.int32), np.empty(TILE_BINS, np.int32)
+    for k0 in range(0, K, TILE_BINS):
+        n_bins = min(TILE_BINS, K - k0)
+        _pack_panel(panel, runs, k0, n_columns, origin, end)
+        for t in range(t0, t1):
+            start = tiles.first[t]
+            is_first, b0, b1 = True, TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), B)
+            if with_background:
+                strongest.background[b0:b1, k0 : k0 + n_bins] = 0.0
+            for m in range(runs.bodies.shape[0]):
+                if panel.begins[m] == panel.begins[m + 1]:
+                    continue
+                body, columns = runs.bodies[m], panel.column[panel.begins[m] : panel.begins[m + 1]]
+                first = panel.begins[m] + np.searchsorted(columns, start)
+                past = panel.begins[m] + np.searchsorted(columns, pasts[t])
+                if first == past:
+                    continue
+                mine = best if is_first else rows
+                _weigh_runs(panel, first, past, start, tiles.weights[t], w, mine)
+                if is_background[body]:
+                    for b in range(b0, b1):
+                        for k in range(n_bins):
+                            strongest.background[b, k0 + k] += mine[(b - b0) * TILE_ROW + k]
+                if body_bins.shape[0] > 0:
+                    _clear_outside(mine, body_bins, body, k0)
+                if is_first:
+                    _begin_comparison(best, np.int32(body), total, body_id)
+                else:
+                    _compare(rows, np.int32(body), best, total, body_id, stronger)
+                is_first = False
+            if is_first:
+                best[:], total[:], body_id[:] = 0.0, 0.0, 0
+            for b in range(b0, b1):
+                _write_strongest(best, total, body_id, b - b0, middle_m, b, k0, n_bins, strongest)
+
+
+@inlined
+def _make_panel(runs, n_columns, origin, end, n_bins):
+    """Return a Panel with room for the runs of any block of bins, in columns `origin` to `end`."""
+    table, n_blocks = runs.table, (n_bins - 1) // TILE_BINS + 1
+    counts = np.zeros(n_blocks, np.int64)
+    for n in range(table.shape[0]):
+        for block in range(table[n, FIRST_BIN] // TILE_BINS, (table[n, PAST_BIN] - 1) // TILE_BINS + 1):
+            counts[block] += 1
+    most = counts.max() * ((end - 1) // n_columns - origin // n_columns + 1)
+    begins = np.zeros(runs.bodies.shape[0] + 1, np.int64)
+    return Panel(begins, np.empty(most, np.int64), np.zeros((most + 3) * TILE_ROW, np.float32))
+
+
+@inlined
+def _pack_panel(panel, runs, k0, n_columns, origin, end):
+    """Lay the runs in a block of bins from `k0` on side by side."""
+    table, moments, n_packed = runs.table, panel.moments, 0
+    for m in range(runs.bodies.shape[0]):
+        panel.begins[m] = n_packed
+        # columns repeat where the fan is a circle
+        for turn in range(origin // n_columns * n_columns, end, n_columns):
+            for n in range(runs.begins[m], runs.begins[m + 1]):
+                x, first, past = turn + table[n, COLUMN], table[n, FIRST_BIN], table[n, PAST_BIN]
+                if not (origin <= x < end and first < k0 + TILE_BINS and past > k0):
+                    continue
+                pool, share = runs.pools[runs.owner[n]], runs.share[n]
+                low, high = uint64(max(first - k0, 0)), uint64(min(past - k0, TILE_BINS))
+                # main lobe and side lobes, and wide columns, make several runs of one body in one column
+                if n_packed == panel.begins[m] or panel.column[n_packed - 1] != x:
+                    panel.column[n_packed] = x
+                    n_packed += 1
+                    for k in range(uint64((n_packed - 1) * TILE_ROW), uint64(n_packed * TILE_ROW)):
+                        moments[k] = 0.0
+                for moment in range(MOMENTS):
+                    from_ = uint64(table[n, PLACE] + moment * (past - first) + max(k0 - first, 0))
+                    to = uint64((n_packed - 1) * TILE_ROW + moment * TILE_BINS) + low
+                    for k in range(high - low):
+                        moments[to + k] += share * pool[from_ + k]
+    panel.begins[runs.bodies.shape[0]] = n_packed
+
+
+@inlined
+def _weigh_runs(panel, first, past, start, weights, w, rows):
+    """Weigh some runs of a panel into the beams of one tile.
+
+    start, weights : of the tile; w : (16,) float32, overwritten; rows : (TILE_BEAMS * TILE_ROW,), overwritten
+    """
+    moments = panel.moments
+    for k in range(uint64(rows.shape[0])):
+        rows[k] = 0.0
+    for n in range(first, past, 4):  # four at a time: beams are read and written less often
+        for i in range(uint64(4)):
+            x = uint64(panel.column[min(n + i, past - 1)] - start)
+            is_one = np.float32(n + i < past)
+            for r in range(uint64(TILE_BEAMS)):
+                w[uint64(TILE_BEAMS) * i + r] = weights[x, r] * is_one
+        at = uint64(n * TILE_ROW)
+        a0, a1, a2, a3 = w[0], w[1], w[2], w[3]
+        b0, b1, b2, b3 = w[4], w[5], w[6], w[7]
+        c0, c1, c2, c3 = w[8], w[9], w[10], w[11]
+        d0, d1, d2, d3 = w[12], w[13], w[14], w[15]
+        for k in range(uint64(TILE_ROW)):
+            a, b = moments[at + k], moments[at + uint64(TILE_ROW) + k]
+            c, d = moments[at + uint64(2 * TILE_ROW) + k], moments[at + uint64(3 * TILE_ROW) + k]
+            rows[k] += (a0 * a + b0 * b) + (c0 * c + d0 * d)
+            rows[uint64(TILE_ROW) + k] += (a1 * a + b1 * b) + (c1 * c + d1 * d)
+            rows[uint64(2 * TILE_ROW) + k] += (a2 * a + b2 * b) + (c2 * c + d2 * d)
+            rows[uint64(3 * TILE_ROW) + k] += (a3 * a + b3 * b) + (c3 * c + d3 * d)
+
+
+@inlined
+def _begin_comparison(best, body, total, body_id):
+    """Begin with the first body in a tile's beams, whose moments `best` holds; arguments as of `_compare`."""
+    for r in range(TILE_BEAMS):
+        at, bins = uint64(r * TILE_ROW), uint64(r * TILE_BINS)
+        for k in range(uint64(TILE_BINS)):
+            total[bins + k] = best[at + k]
+            body_id[bins + k] = body if best[at + k] > np.float32(0.0) else np.int32(0)
+
+
+@inlined
+def _compare(rows, body, best, total, body_id, stronger):
+    """Keep what is known of the stronger echo in each bin of a tile's beams, and add up all.
+
+    rows, best : (TILE_BEAMS * TILE_ROW,)
+    total, body_id : (TILE_BEAMS * TILE_BINS,); numbers of bodies are as wide as floats, to select both alike
+    stronger : (TILE_BINS,) int32, overwritten
+    """
+    for r in range(TILE_BEAMS):
+        at, bins, n_stronger = uint64(r * TILE_ROW), uint64(r * TILE_BINS), np.int32(0)
+        for k in range(uint64(TILE_BINS)):
+            total[bins + k] += rows[at + k]
+            is_stronger = np.int32(rows[at + k] > best[at + k])
+            stronger[k] = is_stronger
+            n_stronger += is_stronger
+        if n_stronger == 0:
+            continue
+        for k in range(uint64(TILE_BINS)):
+            body_id[bins + k] = body if stronger[k] else body_id[bins + k]
+        for moment in range(MOMENTS):
+            mine = at + uint64(moment * TILE_BINS)
+            for k in range(uint64(TILE_BINS)):
+                best[mine + k] = rows[mine + k] if stronger[k] else best[mine + k]
+
+
+@inlined
+def _clear_outside(rows, body_bins, body, k0):
+    """Set the echo of a body to zero in those bins from k0 on in which it cannot be; `rows` as of `_compare`."""
+    low, high = max(body_bins[body, 0] - k0, 0), max(body_bins[body, 1] - k0, 0)
+    for r in range(TILE_BEAMS):
+        for k in range(min(low, TILE_BINS)):
+            rows[r * TILE_ROW + k] = 0.0
+        for k in range(high, TILE_BINS):
+            rows[r * TILE_ROW + k] = 0.0
+
+
+@inlined
+def _write_strongest(best, total, body_id, r, middle_m, b, k0, n, strongest):
+    """Write what is known of the strongest echo in a block of a beam's bins; `best` is overwritten."""
+    at, bins, b, k0 = uint64(r * TILE_ROW), uint64(r * TILE_BINS), uint64(b), uint64(k0)
+    share, means, whole, nothing = strongest.share, strongest.means, np.float32(1.0), np.float32(0.0)
+    for k in range(uint64(n)):
+        share[b, k0 + k] = min(best[at + k] / total[bins + k], whole) if best[at + k] > FAINTEST else nothing
+    for k in range(uint64(n)):
+        strongest.body_id[b, k0 + k] = body_id[bins + k] if best[at + k] > FAINTEST else np.int32(0)
+    for k in range(uint64(TILE_BINS)):
+        best[at + k] = whole / best[at + k] if best[at + k] > FAINTEST else np.float32(np.nan)
+    for moment in range(uint64(MOMENTS - 1)):
+        mine = at + (moment + uint64(1)) * uint64(TILE_BINS)
+        for k in range(uint64(n)):
+            means[moment, b, k0 + k] = best[mine + k] * best[at + k]
+    for k in range(uint64(n)):
+        means[MOMENTS - 2, b, k0 + k] += middle_m[k0 + k]
