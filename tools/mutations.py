@@ -703,7 +703,12 @@ MUTATIONS = (
         "choice.error",
         MULTIPATH,
     ),
-    Mutation("multipath/never checked again", "is_new=False, is_due=check)", "is_new=False)", MULTIPATH),
+    Mutation(
+        "multipath/never checked again",
+        "is_new=False, is_due=check, finest=FINEST)",
+        "is_new=False, finest=FINEST)",
+        MULTIPATH,
+    ),
     Mutation("multipath/small bodies", "fewest < LEAST_ON_BODY * fewer or ", "", MULTIPATH),
     Mutation(
         "multipath/parallel planes",
