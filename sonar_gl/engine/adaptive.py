@@ -131,7 +131,11 @@ class AdaptiveSampling:
         check = self.is_check_due(self.history)
         if check and self.plan is None:
             return self._search(setup, self.choice.level)
-        return replace(self.resolution, check=check)
+        is_first_of_level, resolution = self._resolution[0] != self.choice.level, self.resolution
+        if self.choice.is_due and not (check or is_first_of_level):
+            # before the check, which would have to make it, and after the ping whose arrays had to grow
+            self._model.coarser_stage(resolution.stage)
+        return replace(resolution, check=check)
 
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Estimate the error of a ping if that is due; return other samples if it is to be sampled again.
@@ -191,7 +195,7 @@ class AdaptiveSampling:
         if level < choice.level:
             finest = self.search.finest
             self._stages.drop_large()
-        # made by this ping: the next one, if it is checked, has to make the coarser stage
+        # made by this ping: the next one, if it is checked, may have to make the coarser stage
         self._model.stage_at(level)
         return replace(choice, level=level, finest=finest, is_due=True)
 

@@ -128,6 +128,11 @@ class ErrorModel:
         """Return the stage of a sampling level."""
         return self._stages.stage(sampling_at(self._sonar, level))
 
+    def coarser_stage(self, stage: Stage) -> Stage:
+        """Return the stage whose view one with the samples of `stage` is compared with."""
+        # in the mirror image of the lattice a rod that runs along its rows does not
+        return self._stages.stage(part_of(stage.sampling, 1 / COARSER), -SHEAR)
+
     def draw(
         self, setup: PingSetup, level: int, further: Sequence[SceneState] = (), for_labels: bool = False
     ) -> TriedView:
@@ -175,9 +180,7 @@ class ErrorModel:
         before : of the same ping with fewer samples, to compare with; None to draw one
         """
         if before is None:
-            fewer = part_of(tried.stage.sampling, 1 / COARSER)
-            # in the mirror image of the lattice a rod that runs along its rows does not
-            before = self._drawn(self._stages.stage(fewer, -SHEAR), setup)
+            before = self._drawn(self.coarser_stage(tried.stage), setup)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
         whole = self._whole_error(tried, before, coarser)
         worst = self._worst_body(setup, tried, before, coarser)

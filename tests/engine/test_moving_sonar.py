@@ -10,7 +10,8 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import adaptive
-from sonar_gl.engine.stage import Stage
+from sonar_gl.engine.error_model import ErrorModel
+from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
 
 SONAR = sg.Sonar("moving", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
@@ -75,6 +76,39 @@ def test_no_ping_costs_three_times_the_median_of_the_last_hundred(monkeypatch):
 def test_without_that_limit_single_pings_stall(monkeypatch):
     monkeypatch.setattr(adaptive, "MOST_COST", math.inf)
     assert worst_of(swim(monkeypatch)[0][1:]) > 5
+
+
+def test_pings_that_wait_for_a_check_have_made_what_it_needs(monkeypatch):
+    """The weights of its coarser samples take about a ping; with the check itself it would be too much for one ping."""
+    made, checks = [], []
+    make, judge = StageCache.make, ErrorModel.judge
+
+    def noted(stages, *arguments):
+        made.append(0)
+        return make(stages, *arguments)
+
+    def checked(*arguments):
+        before = len(made)
+        out = judge(*arguments)
+        checks.append(len(made) - before)
+        return out
+
+    monkeypatch.setattr(StageCache, "make", noted)
+    monkeypatch.setattr(ErrorModel, "judge", checked)
+    n_waiting, n_late_checks = 0, 0
+    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+        simulator.ping(np.eye(4))
+        for pose in poses():
+            checks.clear()
+            level = simulator.run.sampler.choice.level
+            simulator.ping(pose)
+            if checks and n_waiting >= 2:
+                assert checks == [0]
+                n_late_checks += 1
+            choice = simulator.run.sampler.choice
+            waits = not checks and choice.is_due and choice.level == level
+            n_waiting = n_waiting + 1 if waits else 0
+    assert n_late_checks > 0
 
 
 def test_an_estimate_within_the_tolerance_was_made_with_the_samples_of_the_ping():
