@@ -52,8 +52,8 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
     if getattr(matrix, "dtype", None) == np.float32 and max(abs(x), abs(y), abs(z)) >= SINGLE_PRECISION_M:
         # the same words for all poses: Python shows them once
         warn_caller(
-            f"poses in float32 round places {SINGLE_PRECISION_M:.0f} m or more from the origin, by up to centimetres "
-            "(make them in float64 from the start, or take a nearer origin)"
+            f"poses in float32 round places {SINGLE_PRECISION_M:.0f} m or more from the origin, by up to 4 mm "
+            "there and half a metre at northings of UTM (make them in float64 from the start, or take a nearer origin)"
         )
     return out
 

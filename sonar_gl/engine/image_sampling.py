@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho
+from sonar_gl.core.checks import text_beside
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.difference import wrong_share
 from sonar_gl.engine.multipath import (
@@ -214,8 +215,8 @@ class ImageSampling:
         if is_unmet and not self._has_warned:
             warn_caller(
                 f"tolerance {self._tolerance:g} cannot be met here: with the most samples that fit of what comes by "
-                f"way of planar reflectors, the estimate is {error:.3g}; go nearer, narrow the fan, ask for a larger "
-                "tolerance, or leave multipath out",
+                f"way of planar reflectors, the estimate is {text_beside(error, self._tolerance)}; go nearer, narrow "
+                "the fan, ask for a larger tolerance, or leave multipath out",
                 ToleranceWarning,
             )
         self._has_warned = is_unmet

@@ -3,6 +3,7 @@
 import math
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -784,6 +785,16 @@ def test_multipath_whose_finer_samples_are_not_drawn_is_warned_of(monkeypatch, f
     with sg.Simulator(*settings, tolerance=0.01) as simulator, pytest.warns(ToleranceWarning) as warned:
         assert [simulator.ping(pose).error_estimate > 0.01 for _ in range(3)] == [True] * 3
     assert len(warned) == 1
+
+
+def test_an_estimate_of_multipath_just_above_the_tolerance_reads_so(monkeypatch):
+    """It read "tolerance 0.02 cannot be met: the estimate is 0.02"."""
+    chooser = image_sampling.ImageSampling(0.02, each_alone=False)
+    monkeypatch.setattr(chooser, "error_of", lambda _: 0.0200021)
+    own = SimpleNamespace(fan=SimpleNamespace(n_samples=1000))
+    images = SimpleNamespace(halvings=multipath.FINEST, own=own)
+    with pytest.warns(ToleranceWarning, match="the estimate is 0.020002; "):
+        chooser.warn_if_unmet(SimpleNamespace(images=images, direct_error=0.01))
 
 
 @pytest.mark.slow

@@ -141,7 +141,7 @@ class CpuWorkspace(RenderWorkspace):
         self.halves = _HalfWorkspace(), _HalfWorkspace()
 
     def drop_large(self) -> None:
-        """Drop arrays of more than MAX_KEPT_SAMPLES; samples that were drawn stay valid."""
+        """Drop large arrays; samples that were drawn stay valid."""
         super().drop_large()
         for half in self.halves:
             half.drop_large()
