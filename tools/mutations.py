@@ -896,8 +896,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/mirrored lattice",
-        "self._stages.stage(fewer, -SHEAR)",
-        "self._stages.stage(fewer, SHEAR)",
+        "1 / COARSER), -SHEAR)",
+        "1 / COARSER), SHEAR)",
         PROMISE,
     ),
     Mutation("planner/difference of two pings", "\nERROR_FACTOR = 1.86", "\nERROR_FACTOR = 0.93", PROMISE),

@@ -49,6 +49,17 @@ def specular_lobe(cos_incidence, strength, slope):
     return strength * np.exp(-(1 - c**2) / (2 * s2 * c**2)) / (8 * s2 * c**5)
 
 
+def cos_of_greatest_lobe(slope):
+    """Return cos θ where `specular_lobe` of a rms slope is greatest: face on, or beside it where cos⁻⁵ θ outweighs.
+
+    The derivative of its logarithm, tan θ (5 − 1 / (s² cos² θ)), is zero at cos² θ = 1 / (5 s²).
+
+    >>> float(cos_of_greatest_lobe(0.1)), round(float(cos_of_greatest_lobe(0.5)), 4)
+    (1.0, 0.8944)
+    """
+    return np.minimum(1.0, 1.0 / (math.sqrt(5.0) * np.maximum(slope, 1e-9)))
+
+
 def plane_of(depth_inverse, slopes, at):
     """Return (..., 3) p of the plane p · x = 1 that a ray meets, in the sector's frame: 1/x = p_x − p_y u + p_z v.
 

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
+from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.sonar.sampling import Sampling
 
@@ -16,12 +17,14 @@ class Sampler(Protocol):
 
     Attributes
     ----------
+    search : LevelSearch, which chooses those of a ping that `is_apart`; None where none is
     choice : all that checks and plans change, to be put back where a plan is broken off
     history : all that each ping changes, to be put back where a ping is to be made again
     resolution : of the last ping, or of the first to come
     tolerance : that it keeps, or None
     """
 
+    search: LevelSearch | None
     choice: object
     history: object
     resolution: Resolution
@@ -68,7 +71,7 @@ class Sampler(Protocol):
 class FixedSampling:
     """Samples that were given: nothing to choose, nothing promised. A `Sampler`; no ping is `is_apart`."""
 
-    tolerance = choice = history = None
+    search = tolerance = choice = history = None
 
     def __init__(self, stages: StageCache, sampling: Sampling):
         self.resolution = Resolution(stages.stage(sampling))
@@ -101,6 +104,12 @@ class FixedSampling:
     def is_apart(self, setup: PingSetup) -> bool:
         """Return False."""
         return False
+
+    def history_with_apart(self, setup: PingSetup) -> None:
+        """Return None: no ping depends on those before."""
+
+    def follow(self, setup: PingSetup, plan: Plan, total: float, n_pings: int) -> None:
+        """Do nothing: later pings have the samples that were given."""
 
     def error_estimate(self, setup: PingSetup) -> None:
         """Return None: there is no estimate."""

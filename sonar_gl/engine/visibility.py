@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.acoustics.boundary import specular_lobe
+from sonar_gl.acoustics.boundary import cos_of_greatest_lobe, specular_lobe
 from sonar_gl.beamform.beamformer import Beamformer
 from sonar_gl.core.compiled import compiled
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
@@ -22,7 +22,7 @@ MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing the
 POINTS = 256  # at most, on the edges of a body in a sector, are compared with the samples
 GLINT_REACH = 4.0  # times the rms slope: beyond, a specular lobe has 10⁻⁴ of its echo
 MAX_FLAT_FACES = 12  # directions of a body whose faces are flat: it is a glint as a whole, or not at all
-NO_GLINT = 1e-26  # of a lobe face on: a sample with less returns nothing
+NO_GLINT = 1e-26  # of the greatest lobe: a sample with less returns nothing
 MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
 STAGGER = 0.618034  # of the step between points, from edge to edge: so those of parallel edges lie apart
 BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
@@ -401,16 +401,18 @@ def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
     """Return the most that the specular lobe of a body with flat faces may return per steradian in the fan.
 
     A ray of the fan meets a flat face at no less than the angle between the face's normal and the fan, nor than where
-    the face is nearest to the sonar. Faces with other shading normals, and those of large meshes, count as face on.
+    the face is nearest to the sonar. Faces with other shading normals, and those of large meshes, count as those at
+    the angle where their lobe is greatest, which is face on but for large roughness.
 
     Parameters
     ----------
     body, body_pose, pose : of `is_unobstructed`
     """
-    face_on = specular_lobe(1.0, body.specular, body.roughness_rad)
+    greatest_cosine = cos_of_greatest_lobe(body.roughness_rad)
+    greatest = float(specular_lobe(greatest_cosine, body.specular, body.roughness_rad))
     surface, to_sonar = body.surface, pose[:3, :3].T @ body_pose[:3, :3]
     if len(surface.faces) > MAX_CLIPPED_FACES:
-        return float(face_on)
+        return greatest
     corners = np.asarray(surface.vertices, np.float64)[np.asarray(surface.faces)]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(cross, axis=1)
@@ -420,7 +422,7 @@ def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
         shading = np.asarray(body.normals, np.float64)[faces]
         is_flat = (np.abs((shading * normals[:, None]).sum(axis=2)) > 1 - 1e-4) | ~shading.any(axis=2)
         if not is_flat.all():
-            return float(face_on)
+            return greatest
     corners = corners @ to_sonar.T + pose[:3, :3].T @ (body_pose[:3, 3] - pose[:3, 3])
     normals = normals @ to_sonar.T
     apart_m = (normals * corners[:, 0]).sum(axis=1)  # of the planes of the faces from the sonar
@@ -433,8 +435,9 @@ def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
     cosines = np.abs(apart_m) / np.maximum(edges_m, 1e-9)
     angles = np.where(is_within, 0.0, np.arccos(np.clip(cosines, 0.0, 1.0)))
     angles = np.maximum(angles, _beside_fan_rad(normals * np.sign(apart_m)[:, None], reception))
-    lobe = specular_lobe(np.cos(angles), body.specular, body.roughness_rad).max(initial=0.0)
-    return float(lobe) if lobe > NO_GLINT * face_on else 0.0
+    cosines = np.minimum(np.cos(angles), greatest_cosine)
+    lobe = specular_lobe(cosines, body.specular, body.roughness_rad).max(initial=0.0)
+    return float(lobe) if lobe > NO_GLINT * greatest else 0.0
 
 
 def _beside_fan_rad(directions, reception: Reception) -> np.ndarray:
@@ -455,7 +458,7 @@ class _Extents(NamedTuple):
 
     centres, radii_m : (n, 3) and (n,), of a sphere about each, in its frame
     areas_m2 : (n,), the greatest silhouette
-    lobes : (n,), the specular lobe face on
+    lobes : (n,), the greatest of the specular lobe
     glint_shares : (n,), 1 of bodies without a lobe
     by_face : (n,) bool, whether the reflectivity is one value a face
     own, per_unit : of `GreatestReflectivity`
@@ -475,7 +478,10 @@ def _extents(bodies, specular: bool) -> _Extents:
     surfaces = [body.surface for body in bodies]
     spheres = [_sphere_about(_used_vertices(surface)) for surface in surfaces]
     radii_m = np.array([sphere.radius_m for sphere in spheres])
-    lobes = [specular_lobe(1.0, body.specular * specular, body.roughness_rad) for body in bodies]
+    lobes = [
+        specular_lobe(cos_of_greatest_lobe(body.roughness_rad), body.specular * specular, body.roughness_rad)
+        for body in bodies
+    ]
     shares = [
         glint_share(surface, body.roughness_rad) if specular and body.specular > 0 else 1.0
         for surface, body in zip(surfaces, bodies, strict=True)
@@ -565,7 +571,7 @@ class BodyExtents:
         return out
 
     def share_in_view(self, number: int, body, state: SceneState, pose, reception: Reception) -> float:
-        """Return what share of `greatest_echo` a body may return, since its specular lobe need not be seen face on.
+        """Return what share of `greatest_echo` a body may return, as its lobe need not be seen where it is greatest.
 
         number : of the body, from 1
         """
@@ -576,6 +582,6 @@ class BodyExtents:
         return float((greatest - lobe + in_view) / greatest)
 
     def greatest_backscatter(self, state: SceneState) -> np.ndarray:
-        """Return (bodies,) the most that each body may return per steradian: reflectivity, and lobe face on."""
+        """Return (bodies,) the most that each may return per steradian: reflectivity and the greatest lobe."""
         greatest = GreatestReflectivity(self._columns.own, self._columns.per_unit)
         return greatest.in_state(state) + self._columns.lobes

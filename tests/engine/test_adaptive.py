@@ -984,11 +984,15 @@ def test_reflectivity_that_is_the_bodies_own_asks_for_no_check(monkeypatch):
 
 
 def test_the_greatest_lobe_in_view_bounds_what_samples_return():
-    """Boxes at random places; where the glint is in view and met, the bound is close."""
-    acoustics, rng, met = sg.Acoustics("ideal", specular=True), np.random.default_rng(1), 0
-    for _ in range(30):
+    """Boxes at random places; where the glint is in view and met, the bound is close.
+
+    The lobe of a roughness of 0.5 is greatest 27 degrees beside face on.
+    """
+    acoustics, rng, met = sg.Acoustics("ideal", specular=True), np.random.default_rng(1), [0, 0]
+    for number in range(40):
+        roughness_rad = (0.1, 0.5)[number % 2]
         size, at = rng.uniform(0.1, 4, 3), (*rng.uniform((2, -5, -2), (15, 5, 2)), *rng.uniform(-0.6, 0.6, 3))
-        box = sg.Body("box", trimesh.creation.box(size), sg.pose(*at), 0.0, None, 0.8, 0.1)
+        box = sg.Body("box", trimesh.creation.box(size), sg.pose(*at), 0.0, None, 0.8, roughness_rad)
         with sg.Simulator(sg.Scene([box]), SONAR, acoustics, sg.Sampling(4, 200)) as simulator:
             run = simulator.run
             stage = run.sampler.resolution.stage
@@ -1003,8 +1007,8 @@ def test_the_greatest_lobe_in_view_bounds_what_samples_return():
         greatest = echo[is_received].max(initial=0.0)
         bound = greatest_lobe(box, box.pose, np.eye(4), reception)
         assert greatest <= bound * (1 + 1e-4)
-        met += greatest > 0.9 * bound > 0
-    assert met >= 3
+        met[number % 2] += greatest > 0.9 * bound > 0
+    assert min(met) >= 3
 
 
 @pytest.mark.parametrize(
