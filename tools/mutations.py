@@ -1686,7 +1686,7 @@ def apply(mutation: Mutation, root: Path):
 def run_pytest(root: Path, words: list[str], timeout_s: float) -> tuple[int | None, str]:
     """Run pytest in a tree; return its exit status, None after the timeout, and what it printed."""
     environment = {**os.environ, "PYTHONPATH": str(root)}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *words]
+    command = [sys.executable, "-m", "pytest", "-x", "-rfE", "-p", "no:cacheprovider", *words]
     try:
         done = subprocess.run(
             command, cwd=root, env=environment, capture_output=True, text=True, timeout=timeout_s

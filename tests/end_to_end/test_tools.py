@@ -342,6 +342,13 @@ def test_each_mutation_applies_once_and_has_tests():
 
 
 @pytest.mark.slow
+def test_a_mutation_that_is_run_names_the_test_that_notices_it():
+    printed = run("tools.mutations", "--run", "--only", "warn/control characters")
+    assert re.search(r"killed by tests/core/test_warn\.py::test_\w+$", printed, re.MULTILINE)
+    assert printed.endswith("killed 1 of 1, 100%\n")
+
+
+@pytest.mark.slow
 def test_failures():
     printed = run("tools.docs.failures", "--soak", "50")
     assert printed.startswith("50 pings, ")
