@@ -109,7 +109,9 @@ TERMS = (
     ),
     _of_acoustics("elevation pattern", "elevation_pattern", "line_array", "box"),
     _of_acoustics("pulse", "pulse"),
-    _of_acoustics("lobes", "specular", acts_in=lambda scene: any(body.specular for body in scene.bodies)),
+    _of_acoustics(
+        "specular lobes", "specular", acts_in=lambda scene: any(body.specular for body in scene.bodies)
+    ),
     _of_acoustics("bubbles", "bubbles", acts_in=lambda scene: bool(scene.plumes)),
     _of_acoustics("multipath", "multipath", "incoherent", "none"),
     _of_acoustics(

@@ -243,11 +243,11 @@ def test_what_is_stated_changes_no_other_price():
 @pytest.mark.slow
 def test_terms_without_anything_to_act_on_change_and_cost_nothing():
     found = priced(room())
-    for name in ("lobes", "bubbles"):
+    for name in ("specular lobes", "bubbles"):
         measures = found[name].changes, found[name].worst_bin, found[name].changed_bins
         assert (*measures, found[name].time_ms) == (0, 0, 0, 0)
         assert found[name].on is False
-    shiny = priced(room(specular=0.5, roughness_rad=0.05))["lobes"]
+    shiny = priced(room(specular=0.5, roughness_rad=0.05))["specular lobes"]
     assert shiny.changes > 0.01 and shiny.on and shiny.worst_bin > 0.1
     sphere = sg.Scene(room().bodies[1:], room().sonar_pose)  # curved everywhere: no planar reflector
     assert priced(sphere)["multipath"] == type(shiny)("multipath", 0.0, 0.0, 0.0, 0.0, False)

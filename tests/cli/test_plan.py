@@ -114,7 +114,7 @@ def test_it_prices_what_the_options_say():
         acoustics = sg.Acoustics.physical(pulse=True)
         wanted = {term.name: term for term in price(simulator, simulator.sonar, 0.05, acoustics=acoustics)}
     assert terms["pulse"]["changes"] == wanted["pulse"].changes > 0.1
-    assert [terms[name]["changes"] for name in ("lobes", "bubbles")] == [0, 0]
+    assert [terms[name]["changes"] for name in ("specular lobes", "bubbles")] == [0, 0]
 
 
 def test_json_holds_what_the_simulator_plans():
