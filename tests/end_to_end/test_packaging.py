@@ -118,19 +118,9 @@ def test_the_source_archive_holds_what_builds_and_checks_it(sdist):
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    files = {"setup.cfg", "setup.py", "pyproject.toml", "ruff.toml", "LICENSE"}
+    files = {"setup.cfg", "pyproject.toml", "ruff.toml", "LICENSE"}
     pages = {"README.md", "CHANGELOG.md", "CONTRIBUTING.md"}
     assert here | files | pages <= held
-
-
-def test_source_archives_of_the_same_files_have_the_same_bytes(sdist, tmp_path):
-    """Whatever the times and the permissions of the checkout."""
-    copy = shutil.copytree(ROOT, tmp_path / "copy", ignore=NOT_SOURCE, copy_function=shutil.copy)
-    for path in copy.rglob("*.py"):
-        path.chmod(0o600 | path.stat().st_mode & 0o100)
-        os.utime(path, (1e9, 1e9))
-    run(sys.executable, "-c", BUILD.format("sdist"), tmp_path, cwd=copy)
-    assert next(tmp_path.glob("*.tar.gz")).read_bytes() == sdist.read_bytes()
 
 
 def test_the_installed_wheel_finds_its_files_from_anywhere(installed):
