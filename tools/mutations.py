@@ -2,13 +2,11 @@
 
     python -m tools.mutations --list                      # the table, and where each applies
     python -m tools.mutations --run --only "labels/*"     # these; prints killed or survived, and the score
-    python -m tools.mutations --run --root DIR            # those of another checkout
-    python -m tools.mutations --run --tests "-k fan"      # other tests than those of the table
 
 A mutation is looked up by its tokens, so that line breaks and spaces do not matter; it must occur once in the
 package. The tree is copied to a temporary folder, one mutation is applied, and pytest runs with -x. First the
 same tests run without a mutation: a mutation says nothing where they fail by themselves. A mutation is killed
-if a test fails, if pytest ends otherwise, or if it takes longer than --timeout.
+if a test fails, if pytest ends otherwise, or if it takes longer than a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -32,6 +30,7 @@ ROOT = Path(__file__).resolve().parents[1]
 UNCOPIED = (".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "out", "build", "pictures")
 TOKEN = re.compile(r"\w+|[^\w\s]")
 PASSED = 0  # exit status of pytest
+TIMEOUT_S = 900.0
 
 
 @dataclass(frozen=True)
@@ -1654,15 +1653,15 @@ def places_of(old: str, root: Path) -> list[tuple[Path, int, int]]:
     return out
 
 
-def test_files(mutation: Mutation, root: Path) -> list[str]:
+def test_files(mutation: Mutation) -> list[str]:
     """Return the test files of a mutation, or tests of them, as arguments of pytest, relative to the root."""
     out = []
     for words in mutation.tests:
         name, *test = words.split("::")
-        found = sorted((root / "tests").rglob(f"{name}.py"))
+        found = sorted((ROOT / "tests").rglob(f"{name}.py"))
         if not found:
-            raise SystemExit(f"{mutation.name}: there is no test module {name} in {root / 'tests'}")
-        out.append("::".join((found[0].relative_to(root).as_posix(), *test)))
+            raise SystemExit(f"{mutation.name}: there is no test module {name} in {ROOT / 'tests'}")
+        out.append("::".join((found[0].relative_to(ROOT).as_posix(), *test)))
     return list(dict.fromkeys(out))
 
 
@@ -1683,64 +1682,64 @@ def apply(mutation: Mutation, root: Path):
     path.write_text(mutated(path, *edit), encoding="utf-8")
 
 
-def run_pytest(root: Path, words: list[str], timeout_s: float) -> tuple[int | None, str]:
+def run_pytest(root: Path, words: list[str]) -> tuple[int | None, str]:
     """Run pytest in a tree; return its exit status, None after the timeout, and what it printed."""
     environment = {**os.environ, "PYTHONPATH": str(root)}
     command = [sys.executable, "-m", "pytest", "-x", "-rfE", "-p", "no:cacheprovider", *words]
     try:
         done = subprocess.run(
-            command, cwd=root, env=environment, capture_output=True, text=True, timeout=timeout_s
+            command, cwd=root, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S
         )
     except subprocess.TimeoutExpired:
         return None, ""
     return done.returncode, done.stdout + done.stderr
 
 
-def copied(root: Path, folder: str) -> Path:
-    """Copy a tree, with its compiled kernels."""
+def copied(folder: str) -> Path:
+    """Copy the tree, with its compiled kernels."""
     out = Path(folder) / "tree"
-    shutil.copytree(root, out, ignore=shutil.ignore_patterns(*UNCOPIED), symlinks=True)
+    shutil.copytree(ROOT, out, ignore=shutil.ignore_patterns(*UNCOPIED), symlinks=True)
     return out
 
 
-def judge(mutation: Mutation, root: Path, words: list[str], timeout_s: float) -> tuple[bool, str]:
+def judge(mutation: Mutation, words: list[str]) -> tuple[bool, str]:
     """Return whether tests notice a mutation, and which."""
     with tempfile.TemporaryDirectory() as folder:
-        tree = copied(root, folder)
+        tree = copied(folder)
         apply(mutation, tree)
-        status, printed = run_pytest(tree, words, timeout_s)
+        status, printed = run_pytest(tree, words)
     if status == PASSED:
         return False, ""
     if status is None:
-        return True, f"longer than {timeout_s:g} s"
+        return True, f"longer than {TIMEOUT_S:g} s"
     failed = re.search(r"^(?:FAILED|ERROR) (\S+)", printed, re.MULTILINE)
     return True, failed[1] if failed else f"pytest ended with {status}"
 
 
-def check_baseline(root: Path, words: list[str], timeout_s: float):
+def check_baseline(words: list[str]):
     """End the program unless tests pass without a mutation."""
     with tempfile.TemporaryDirectory() as folder:
-        status, printed = run_pytest(copied(root, folder), words, timeout_s)
+        status, printed = run_pytest(copied(folder), words)
     if status != PASSED:
         raise SystemExit(f"{shlex.join(words)} must pass without a mutation:\n{printed[-3000:]}")
 
 
-def print_list(mutations, root: Path) -> bool:
+def print_list(mutations) -> bool:
     """Print where each mutation applies; return whether all do.
 
     End the program where one has no tests, or is no Python: any test would notice that.
     """
     good = True
     for mutation in mutations:
-        test_files(mutation, root)
-        edits = edits_of(mutation, root)
+        test_files(mutation)
+        edits = edits_of(mutation, ROOT)
         for edit in edits:
             try:
                 ast.parse(mutated(*edit))
             except SyntaxError as why:
                 raise SystemExit(f"{mutation.name}: {why}") from None
         good &= len(edits) == 1
-        where = ", ".join(path.relative_to(root).as_posix() for path, *_ in edits)
+        where = ", ".join(path.relative_to(ROOT).as_posix() for path, *_ in edits)
         print(f"{mutation.name:42} {where if len(edits) == 1 else f'{len(edits)} places: {where}'}")
     return good
 
@@ -1753,27 +1752,22 @@ def main():
     )
     parser.add_argument("--run", action="store_true", help="run them")
     parser.add_argument("--only", default="*", metavar="GLOB", help="mutations by name, such as 'labels/*'")
-    parser.add_argument("--root", type=Path, default=ROOT, help="a checkout; default: this one")
-    parser.add_argument("--tests", help="arguments of pytest in place of the table's tests")
-    parser.add_argument("--timeout", type=float, default=900.0, help="seconds of a run")
-    parser.add_argument("--trust", action="store_true", help="do not run the tests without a mutation first")
     options = parser.parse_args()
-    root = options.root.resolve()
     mutations = [one for one in MUTATIONS if fnmatchcase(one.name, options.only)]
     if not mutations:
         parser.error(f"no mutation is named like {options.only!r}")
     if not options.run:
-        raise SystemExit(0 if print_list(mutations, root) else 1)
-    good, killed, passing = print_list(mutations, root), 0, set()
+        raise SystemExit(0 if print_list(mutations) else 1)
+    good, killed, passing = print_list(mutations), 0, set()
     if not good:
         raise SystemExit("each mutation must occur once")
     for mutation in mutations:
-        words = shlex.split(options.tests) if options.tests else test_files(mutation, root)
-        if not options.trust and tuple(words) not in passing:
-            check_baseline(root, words, options.timeout)
+        words = test_files(mutation)
+        if tuple(words) not in passing:
+            check_baseline(words)
             passing.add(tuple(words))
         start = perf_counter()
-        is_killed, by = judge(mutation, root, words, options.timeout)
+        is_killed, by = judge(mutation, words)
         killed += is_killed
         verdict = f"killed by {by}" if is_killed else "survived"
         print(f"{mutation.name:42} {perf_counter() - start:5.0f} s  {verdict}", flush=True)
