@@ -6,16 +6,16 @@ out that hold next to nothing of what a display shows of the body.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numba import uint64
 
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
-from sonar_gl.imaging.fan_image import FanGeometry, azimuth_key, fan_geometry
+from sonar_gl.imaging.fan_image import FanGeometry, azimuth_key, fan_geometry, nearest_cells
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
 
@@ -67,10 +67,10 @@ def boxes_of(ping: Ping, height: int = 800, quiet: Ping | None = None) -> Boxes:
     Error
         if the ping has no labels, or they do not match, or the height is out of bounds.
     """
-    geometry, plan = _geometry_and_plan(ping, height)
+    geometry = _labelled_geometry(ping, height)
     runs, areas = _areas(ping, quiet, geometry.full_circle)
     found = np.empty((len(areas), 9), np.int64)
-    _find_extents(runs, plan.extents, areas, found)
+    _find_extents(runs, _extents(geometry, ping.body_id.shape, azimuth_key(ping)), areas, found)
     body_id = np.flatnonzero(found[:, 0])
     n_bins, beams, bins, pixels = np.split(found[body_id], [1, 3, 5], axis=1)
     n_beams = len(ping.azimuth_rad)
@@ -98,10 +98,10 @@ def body_map(ping: Ping, height: int = 800, quiet: Ping | None = None) -> np.nda
     It is 0 outside the fan, where no body has an echo, and outside the body's box. Parameters and errors are those of
     `boxes_of`.
     """
-    geometry, plan = _geometry_and_plan(ping, height)
+    geometry = _labelled_geometry(ping, height)
     out = np.zeros(ping.body_id.size + 1, np.uint16)  # cell −1, outside the fan, is the last one
     _draw_inside(*_areas(ping, quiet, geometry.full_circle), out[:-1].reshape(ping.body_id.shape))
-    return out[plan.cells]
+    return out[nearest_cells(geometry, ping.body_id.shape, azimuth_key(ping))]
 
 
 def _areas(ping: Ping, quiet: Ping | None, full_circle: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -161,25 +161,12 @@ def _brightness_table(law: Counts) -> np.ndarray:
 _EVEN = _fixed(np.ones(int(_MASK) + 1, np.uint16))
 
 
-class _Plan(NamedTuple):
-    """How bins and pixels of a fan image belong together.
-
-    Attributes
-    ----------
-    cells : (H, W) int32, beam × bins + bin of the bin nearest to each pixel, −1 outside the fan
-    extents : (4, B, K) int16, first and last column, first and last row of the pixels of each bin
-    """
-
-    cells: np.ndarray
-    extents: np.ndarray
-
-
-def _geometry_and_plan(ping: Ping, height: int) -> tuple[FanGeometry, _Plan]:
+def _labelled_geometry(ping: Ping, height: int) -> FanGeometry:
+    """Return the geometry of a ping's fan image; raise an Error unless its labels say which bodies it shows."""
     if ping.body_id is None or ping.body_echo is None:
         raise Error("a ping must have labels to find bodies in it (got none; make it with labels=True)")
     _check_labels(ping)
-    geometry = fan_geometry(ping, height)
-    return geometry, _plan(geometry, ping.body_id.shape, azimuth_key(ping))
+    return fan_geometry(ping, height)
 
 
 def _check_labels(ping: Ping) -> None:
@@ -199,20 +186,15 @@ def _check_labels(ping: Ping) -> None:
 
 
 @lru_cache(maxsize=4)
-def _plan(geometry: FanGeometry, shape: tuple[int, int], key: bytes) -> _Plan:
-    """Return the plan for pings of this shape (beams, bins); `key` is their `azimuth_key`."""
-    azimuth, (n_beams, n_bins) = np.frombuffer(key, np.float64), shape
-    inner_m, outer_m = geometry.range_edges_m
-    beam_edges = (azimuth[1:] + azimuth[:-1]) / 2
-    cells = np.empty((geometry.height, geometry.width), np.int32)
-    for rows, azimuth_rad, range_m, inside in geometry.pixel_rows():
-        bin_ = ((range_m - inner_m) * (n_bins / (outer_m - inner_m))).astype(int).clip(0, n_bins - 1)
-        beam = np.searchsorted(beam_edges, azimuth_rad, side="right")
-        cells[rows] = np.where(inside, beam * n_bins + bin_, -1)
-    extents = np.empty((4, n_beams * n_bins), np.int16)
+def _extents(geometry: FanGeometry, shape: tuple[int, int], key: bytes) -> np.ndarray:
+    """Return the first and last column, and row, of the pixels of each bin, (4, B, K) int16.
+
+    Parameters are those of `nearest_cells`.
+    """
+    extents = np.empty((4, math.prod(shape)), np.int16)
     extents[0::2], extents[1::2] = _NO_PIXEL, -1
-    _grow_extents(cells, extents)
-    return _Plan(cells, extents.reshape(4, n_beams, n_bins))
+    _grow_extents(nearest_cells(geometry, shape, key), extents)
+    return extents.reshape(4, *shape)
 
 
 @compiled
@@ -348,7 +330,7 @@ def _find_extents(runs, extents, areas, found):
     Parameters
     ----------
     runs, areas : of `_areas`
-    extents : (4, B, K) int16, of `_Plan`
+    extents : (4, B, K) int16, of `_extents`
     found : (bodies, 9) int64, filled in this order. A beam behind the seam counts on from the last one
     """
     B, K = extents.shape[1:]

@@ -223,6 +223,27 @@ def azimuth_key(ping: Ping) -> bytes:
     return np.ascontiguousarray(ping.azimuth_rad, np.float64).tobytes()
 
 
+@lru_cache(maxsize=4)
+def nearest_cells(geometry: FanGeometry, shape: tuple[int, int], key: bytes) -> np.ndarray:
+    """Return beam × bins + bin of the bin nearest to each pixel of a fan image, (H, W) int32, −1 outside the fan.
+
+    Parameters
+    ----------
+    geometry : `fan_geometry` of the ping
+    shape : beams, bins
+    key : the ping's `azimuth_key`
+    """
+    azimuth, n_bins = np.frombuffer(key, np.float64), shape[1]
+    inner_m, outer_m = geometry.range_edges_m
+    beam_edges = (azimuth[1:] + azimuth[:-1]) / 2
+    cells = np.empty((geometry.height, geometry.width), np.int32)
+    for rows, azimuth_rad, range_m, inside in geometry.pixel_rows():
+        bin_ = ((range_m - inner_m) * (n_bins / (outer_m - inner_m))).astype(int).clip(0, n_bins - 1)
+        beam = np.searchsorted(beam_edges, azimuth_rad, side="right")
+        cells[rows] = np.where(inside, beam * n_bins + bin_, -1)
+    return cells
+
+
 class _Band(NamedTuple):
     """Bins [first, end) of which `n_beams` neighbouring beams, an odd number, share a pixel."""
 

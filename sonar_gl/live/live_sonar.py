@@ -17,7 +17,7 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.live.body_poses import scene_poses
 from sonar_gl.live.command_line import rounded_pose_numbers
 from sonar_gl.live.frame import LiveFrame, Surface
-from sonar_gl.live.pictures import picture_of, pixel_bins, pixels_of, still_of
+from sonar_gl.live.pictures import picture_of, pixel_cells, pixels_of, still_of
 from sonar_gl.live.readings import body_number
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.simulators import SimulatorPool
@@ -94,7 +94,9 @@ class LiveSonar:
         ping = replace(ping, sonar=device, meta=ping.meta | {"sonar": device.meta()})
         shown = None
         if highlight:
-            shown = pixels_of(ping.body_id == body_number(self._scene, highlight), pixel_bins(ping, settings))
+            shown = pixels_of(
+                ping.body_id == body_number(self._scene, highlight), pixel_cells(ping, settings)
+            )
         self._pinged_s.append(time.monotonic())
         return LiveFrame(
             number=number,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from sonar_gl.imaging.fan_image import FanGeometry, azimuth_key, colorize, fan_geometry, fan_image
+from sonar_gl.imaging.fan_image import azimuth_key, colorize, fan_geometry, fan_image, nearest_cells
 from sonar_gl.imaging.styles import holds_16_bits
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.ping import Ping
@@ -16,13 +15,6 @@ from sonar_gl.sonar.counts import Counts
 
 OUTLINE_WIDTH = 2  # pixels: a JPEG has the colours of thinner lines washed out
 OUTLINE_GAP = 7  # pixels
-
-
-class PixelBins(NamedTuple):
-    """Which bin each pixel shows: beam and bin, (H, W) int32 each, -1 outside the fan."""
-
-    beam: np.ndarray
-    bin: np.ndarray
 
 
 def picture_of(ping: Ping, settings: LiveSettings) -> np.ndarray:
@@ -51,34 +43,18 @@ def _share(ping: Ping, settings: LiveSettings, law: Counts) -> np.ndarray:
     return cv2.resize(law.share(means), size, interpolation=cv2.INTER_NEAREST_EXACT)
 
 
-def pixel_bins(ping: Ping, settings: LiveSettings) -> PixelBins:
-    """Return which bin of a ping each pixel of its picture shows."""
+def pixel_cells(ping: Ping, settings: LiveSettings) -> np.ndarray:
+    """Return beam × bins + bin of the bin of a ping that each pixel of its picture shows, as `nearest_cells` does."""
     if settings.form == "polar":
-        return _polar_bins(ping.intensity.shape, settings.height)
-    return _fan_bins(fan_geometry(ping, settings.height), ping.intensity.shape, azimuth_key(ping))
+        return _polar_cells(ping.intensity.shape, settings.height)
+    return nearest_cells(fan_geometry(ping, settings.height), ping.intensity.shape, azimuth_key(ping))
 
 
 @lru_cache(maxsize=4)
-def _polar_bins(shape: tuple[int, int], height: int) -> PixelBins:
-    """Return the bins of a polar picture's pixels."""
+def _polar_cells(shape: tuple[int, int], height: int) -> np.ndarray:
     middles = (np.arange(height) + 0.5) / height
     beam, bin_ = ((1 - middles) * shape[0]).astype(np.int32), ((1 - middles) * shape[1]).astype(np.int32)
-    full = (height, height)
-    return PixelBins(np.broadcast_to(beam[None], full), np.broadcast_to(bin_[:, None], full))
-
-
-@lru_cache(maxsize=4)
-def _fan_bins(geometry: FanGeometry, shape: tuple[int, int], key: bytes) -> PixelBins:
-    """Return the bins of a fan image's pixels; `key` is the ping's `azimuth_key`."""
-    azimuth = np.frombuffer(key, np.float64)
-    (low, high), (inner_m, outer_m) = geometry.azimuth_edges_rad, geometry.range_edges_m
-    edges = np.concatenate([[low], (azimuth[1:] + azimuth[:-1]) / 2, [high]])
-    beams, bins = np.empty((2, geometry.height, geometry.width), np.int32)
-    for rows, azimuth_rad, range_m, inside in geometry.pixel_rows():
-        beam = (np.searchsorted(edges, azimuth_rad, side="right") - 1).clip(0, shape[0] - 1)
-        bin_ = ((range_m - inner_m) / (outer_m - inner_m) * shape[1]).astype(int).clip(0, shape[1] - 1)
-        beams[rows], bins[rows] = np.where(inside, (beam, bin_), -1)
-    return PixelBins(beams, bins)
+    return beam * np.int32(shape[1]) + bin_[:, None]
 
 
 def outlined(picture: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
@@ -99,6 +75,6 @@ def outlined(picture: np.ndarray, mask: np.ndarray, color: tuple[int, int, int])
     return out
 
 
-def pixels_of(mask: np.ndarray, bins: PixelBins) -> np.ndarray:
-    """Return which pixels show bins of a (B, K) bool mask, (H, W) bool."""
-    return mask[bins.beam, bins.bin] & (bins.beam >= 0)
+def pixels_of(mask: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Return which pixels, of `pixel_cells`, show bins of a (B, K) bool mask, (H, W) bool."""
+    return mask.ravel()[cells] & (cells >= 0)

@@ -26,7 +26,7 @@ from sonar_gl.live.frame import LiveFrame, LiveState, Reading, Surface
 from sonar_gl.live.live_sonar import FrameRequest, LiveSonar
 from sonar_gl.live.motion import SPEED_M_S, TURN_RATE_RAD_S, moved
 from sonar_gl.live.output import DEFAULT_FOLDER, LiveOutput
-from sonar_gl.live.pictures import pixel_bins, pixels_of
+from sonar_gl.live.pictures import pixel_cells, pixels_of
 from sonar_gl.live.ping_thread import PingThread
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.readings import body_number, check_bin, reading_of
@@ -293,11 +293,11 @@ class LiveSession:
 
         Makes the frame's ping again with labels, once.
         """
-        bins = pixel_bins(frame.ping, frame.settings)
-        height, width = bins.beam.shape
-        if not (0 <= row < height and 0 <= column < width) or bins.beam[row, column] < 0:
+        cells = pixel_cells(frame.ping, frame.settings)
+        height, width = cells.shape
+        if not (0 <= row < height and 0 <= column < width) or cells[row, column] < 0:
             return None
-        return self.reading(frame, int(bins.beam[row, column]), int(bins.bin[row, column]))
+        return self.reading(frame, *divmod(int(cells[row, column]), len(frame.ping.range_m)))
 
     def reading(self, frame: LiveFrame, beam: int, bin: int) -> Reading:
         """Return what stands in a bin of a frame's ping; makes it again with labels, once."""
@@ -319,7 +319,7 @@ class LiveSession:
 
     def pixels_of(self, frame: LiveFrame, body: str) -> np.ndarray:
         """Return the pixels of a frame's picture in which a body has the strongest echo, (H, W) bool."""
-        return pixels_of(self.bins_of(frame, body), pixel_bins(frame.ping, frame.settings))
+        return pixels_of(self.bins_of(frame, body), pixel_cells(frame.ping, frame.settings))
 
     def _labelled(self, frame: LiveFrame) -> Ping:
         """Return a frame's ping with labels; it is made again, without noise, unless it has them."""

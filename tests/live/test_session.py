@@ -14,7 +14,7 @@ from sonar_gl.imaging.styles import FanStyle
 from sonar_gl.live import live_sonar as live_sonar_module
 from sonar_gl.live import ping_thread as ping_thread_module
 from sonar_gl.live import simulators as simulators_module
-from sonar_gl.live.pictures import pixel_bins
+from sonar_gl.live.pictures import pixel_cells
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings, term_names
@@ -131,15 +131,15 @@ def test_polar_picture_has_port_on_the_left_and_far_ranges_at_the_top(session):
 def test_pixels_know_their_bins(session, form):
     session.change(form=form, height=400)
     frame = session.next_frame()
-    bins, lit = pixel_bins(frame.ping, frame.settings), frame.ping.counts() > 0
-    inside = bins.beam >= 0
+    cells, lit = pixel_cells(frame.ping, frame.settings), frame.ping.counts() > 0
+    inside = cells >= 0
     shown = frame.picture.max(axis=2) > 0
     # a pixel shows a blend of its own bin and of neighbours; where these all are dark, or all lit, so is the pixel
     padded = np.pad(lit, 2)
     shifts = [padded[a : a + lit.shape[0], b : b + lit.shape[1]] for a in range(5) for b in range(5)]
     grown, shrunk = np.any(shifts, axis=0), np.all(shifts, axis=0)
-    assert not shown[inside & ~grown[bins.beam, bins.bin]].any()
-    assert shown[inside & shrunk[bins.beam, bins.bin]].all()
+    assert not shown[inside & ~grown.ravel()[cells]].any()
+    assert shown[inside & shrunk.ravel()[cells]].all()
     assert shrunk.any() and not grown.all()
 
 

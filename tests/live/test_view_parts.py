@@ -16,7 +16,7 @@ from sonar_gl.embed.camera import SONAR_FROM_OPTICAL
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.live.frame import LiveFrame
 from sonar_gl.live.motion import KEYS
-from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined, picture_of, pixel_bins
+from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined, picture_of, pixel_cells
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
@@ -201,27 +201,27 @@ def test_marks_lie_where_the_picture_shows_their_range_and_azimuth(fov_deg, form
     frame = frame_of(fov_deg, form)
     marked, ping = MarkedPicture.of(frame), frame.ping
     assert marked.size == frame.picture.shape[1::-1]
-    bins = pixel_bins(ping, frame.settings)
+    beams, bins = np.divmod(pixel_cells(ping, frame.settings), len(ping.range_m))
     for beam in range(0, len(ping.azimuth_rad), 5):
         for bin_ in range(20, len(ping.range_m), 10):  # a pixel nearer shows several beams
             right, down = marked.place(ping.azimuth_rad[beam], ping.range_m[bin_])
             at = min(int(down), frame.picture.shape[0] - 1), min(int(right), frame.picture.shape[1] - 1)
             if fov_deg > 2.0 or form == "polar":  # pixels are as wide as that one beam
-                assert abs(bins.beam[at] - beam) <= 1, (beam, bin_)
-            assert abs(bins.bin[at] - bin_) <= 1
+                assert abs(beams[at] - beam) <= 1, (beam, bin_)
+            assert abs(bins[at] - bin_) <= 1
 
 
 @pytest.mark.parametrize("height", [40, 57, 60, 90])
 def test_a_polar_picture_shows_each_beam_where_pixels_are_wider(height):
     sonar = replace(SONAR, n_beams=60)
     settings, ping = LiveSettings(sonar, form="polar", height=height, colormap="gray"), ping_of(sonar)
-    bins = pixel_bins(ping, settings)
+    beams = pixel_cells(ping, settings) // len(ping.range_m)
     for beam in range(60):
         bright = np.zeros_like(ping.intensity)
         bright[beam] = 1.0
         columns = np.flatnonzero(picture_of(replace(ping, intensity=bright), settings).any(axis=(0, 2)))
         assert len(columns), beam
-        assert (abs(bins.beam[0, columns] - beam) <= max(1, 60 / height)).all()
+        assert (abs(beams[0, columns] - beam) <= max(1, 60 / height)).all()
 
 
 @pytest.mark.parametrize("form", ["fan", "polar"])
