@@ -303,7 +303,6 @@ def add_options(parser):
         "parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; default: all but long"
     )
     parser.add_argument("--workers", type=int, default=2, help="of c, for `rate`; 2")
-    parser.add_argument("--parts-a-round", type=int, help="of a batch, for `rate`; 4 a worker, or 1 if quick")
     parser.add_argument("--pings", type=int, default=10_000, help="of `long`")
 
 
@@ -315,7 +314,7 @@ def run(options) -> dict:
     few = make_job(1, quick)
     bytes_per_ping = Schema(BatchRequests(few)).bytes_per_ping
     part = few.pings_per_part or default_pings_per_part(bytes_per_ping, PLANNED_PINGS)
-    n_parts = options.workers + rounds * (options.parts_a_round or options.workers * (1 if quick else 4))
+    n_parts = options.workers + rounds * options.workers * (1 if quick else 4)
     job, found = make_job(n_parts * part, quick).model_copy(update={"pings_per_part": part}), {}
     with tempfile.TemporaryDirectory() as folder:
         manifest = begin(Batch(job, Folder(folder)))

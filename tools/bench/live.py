@@ -42,10 +42,10 @@ def over_median(times, n: int):
     return times[n:] / np.median(windows, axis=1)
 
 
-def swim(name: str, tolerance: float, n: int, engine: str) -> np.ndarray:
+def swim(name: str, tolerance: float, n: int) -> np.ndarray:
     """Return seconds by the clock and of the processors, the error estimate and the rows of each ping: (4, n)."""
     scene, sonar, found = sg.load_scene(name), sg.load_sonar("p900-45"), []
-    with sg.Simulator(scene, sonar, tolerance=tolerance, engine=engine) as simulator:
+    with sg.Simulator(scene, sonar, tolerance=tolerance) as simulator:
         for number in range(n):
             starts = time.perf_counter(), time.process_time()
             ping = simulator.ping(path(scene.sonar_pose, number))
@@ -54,11 +54,9 @@ def swim(name: str, tolerance: float, n: int, engine: str) -> np.ndarray:
     return np.array(found).T
 
 
-def figures_of(name: str, tolerance: float, n: int, engine: str) -> dict[str, float]:
+def figures_of(name: str, tolerance: float, n: int) -> dict[str, float]:
     """Return the figures of one scene."""
-    clock_s, busy_s, estimates, rows = np.min(
-        [swim(name, tolerance, n, engine) for _ in range(TURNS)], axis=0
-    )
+    clock_s, busy_s, estimates, rows = np.min([swim(name, tolerance, n) for _ in range(TURNS)], axis=0)
     before = min(BEFORE, n // 2)
     clock, busy = (over_median(one, before) for one in (clock_s, busy_s))
     return {
@@ -73,18 +71,16 @@ def figures_of(name: str, tolerance: float, n: int, engine: str) -> dict[str, fl
 
 
 def add_options(parser):
-    """Add the scene, the tolerance and the engine."""
+    """Add the scene and the tolerance."""
     parser.add_argument("--only", choices=SCENES, help="this scene")
     parser.add_argument("--tolerance", type=float, default=0.02)
-    parser.add_argument("--engine", default="auto")
 
 
 def run(options) -> dict:
     """Return the figures of each scene."""
     warnings.simplefilter("ignore", ToleranceWarning)  # some poses are close to a body
     scenes = (options.only,) if options.only else SCENES[:1] if options.quick else SCENES
-    settings = options.tolerance, options.rounds, options.engine
-    found = {name: figures_of(name, *settings) for name in scenes}
+    found = {name: figures_of(name, options.tolerance, options.rounds) for name in scenes}
     aims = [Aim(f"{name}: worst ping, medians", one["worst, busy"], "", LIMIT) for name, one in found.items()]
     return {"scenes": found, "aims": aims}
 

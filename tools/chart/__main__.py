@@ -26,7 +26,7 @@ from tools.bench.harness import Contender
 from tools.chart import device
 from tools.chart.front import JUDGED, OUR_OPENGL, OURS, by_scene, false_change, table, violations
 from tools.chart.rivals.methods import METHODS, best_factor
-from tools.chart.scenes import BEAMS, CACHE, SCENES, make_scene, make_sonar, make_truth
+from tools.chart.scenes import BEAMS, SCENES, make_scene, make_sonar, make_truth
 from tools.chart.shimmer import shimmer
 from tools.docs.pages import put_table
 
@@ -115,7 +115,7 @@ def measure(scene, sonar, beams: str, truth, rounds: int, quick: bool, left_out=
     return rows
 
 
-def measure_again(rows, rounds: int, cache, left_out) -> None:
+def measure_again(rows, rounds: int, left_out) -> None:
     """Lower the least times of rows whose scene and beams show ours behind a rival, where they were shorter this time.
 
     On a busy machine the least of a few rounds of one method may hold other work, and that of another none.
@@ -125,9 +125,7 @@ def measure_again(rows, rounds: int, cache, left_out) -> None:
             name, beams = key
             print(f"{name}, {beams}: measured again", flush=True)
             scene, sonar = make_scene(name), make_sonar(name, beams)
-            found = measure(
-                scene, sonar, beams, make_truth(scene, sonar, True, cache), rounds, True, left_out
-            )
+            found = measure(scene, sonar, beams, make_truth(scene, sonar, True), rounds, True, left_out)
             mine = [row for row in rows if (row["scene"], row["beams"]) == key]
             for row, again in zip(mine, found, strict=True):
                 row["ms_least"] = min(row["ms_least"], again["ms_least"])
@@ -182,7 +180,6 @@ def main():
     )
     parser.add_argument("--device", action="store_true", help="only what the whole device costs over ideal")
     parser.add_argument("--out", type=Path, help="folder for the CSV files and pictures/; none if left out")
-    parser.add_argument("--cache", type=Path, default=CACHE, help=f"folder of the truths; {CACHE}")
     parser.add_argument("--rounds", type=int, help="15, or 9 if quick")
     options = parser.parse_args()
     start = perf_counter()
@@ -203,7 +200,7 @@ def main():
         scene, uncertainties = make_scene(name), {}
         for beams in BEAMS:
             sonar = make_sonar(name, beams)
-            truth_ms, truth = harness.timed(make_truth, scene, sonar, options.quick, options.cache)
+            truth_ms, truth = harness.timed(make_truth, scene, sonar, options.quick)
             uncertainties[beams] = truth.meta["difference"] / 2
             ms, found = harness.timed(measure, scene, sonar, beams, truth, rounds, options.quick, left_out)
             rows += found
@@ -237,7 +234,7 @@ def main():
     if options.quick and rows:
         # other work on the machine only adds time, and seldom to every round
         for _ in range(MORE_TRIES):
-            measure_again(rows, rounds, options.cache, left_out)
+            measure_again(rows, rounds, left_out)
         left = violations(points_of(rows, "ms_least"))
         print("\n".join(left) or "ours keeps the front")
         raise SystemExit(1 if left else 0)

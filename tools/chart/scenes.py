@@ -69,8 +69,8 @@ def make_scene(name: str) -> sg.Scene:
     return sg.Scene([replace(body, normals=None) for body in scene.bodies], scene.sonar_pose, scene.name)
 
 
-def make_truth(scene, sonar, quick: bool = False, cache=CACHE) -> sg.Ping:
-    """Return `sonar_gl.reference_ping` of profile ideal at the scene's own pose, from a cache folder.
+def make_truth(scene, sonar, quick: bool = False) -> sg.Ping:
+    """Return `sonar_gl.reference_ping` of profile ideal at the scene's own pose, from the folder CACHE.
 
     meta["difference"] is the difference of its two seeds. Rays do not converge on `grazing`, whose floor has
     a closed form: its truth is 64 slices a beam spacing, judged by half as many.
@@ -85,7 +85,7 @@ def make_truth(scene, sonar, quick: bool = False, cache=CACHE) -> sg.Ping:
         for array in (body.mesh.vertices, body.mesh.faces, body.pose, body.reflectivity):
             mark.update(np.ascontiguousarray(array).tobytes())
     mark.update(scene.sonar_pose.tobytes())
-    path = pathlib.Path(cache) / f"truth_{scene.name}_{mark.hexdigest()[:16]}.npz"
+    path = CACHE / f"truth_{scene.name}_{mark.hexdigest()[:16]}.npz"
     if not path.exists():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # the chart shows the uncertainty that is left
