@@ -45,7 +45,7 @@ class FanStyle:
 
     Parameters
     ----------
-    height, counts : of `fan_image`
+    height : of `fan_image`
     colormap : of `colorize`
     axes : whether the picture has `draw_axes`
     """
@@ -53,19 +53,18 @@ class FanStyle:
     height: int
     colormap: str
     axes: bool
-    counts: Counts | None = None
 
     def __post_init__(self):
         colours(self.colormap)
 
     def __call__(self, _simulator, ping: Ping, _number: int = 0) -> np.ndarray:
         """Return the picture of a ping: (H, W, 3) uint8 RGB; or its counts, (H, W) uint16, where it `holds_16_bits`."""
-        law = ping.counts_law(self.counts)
+        law = ping.counts_law()
         picture = fan_image(ping, self.height, law)
         if holds_16_bits(law, self.colormap, self.axes):
             return law.counts_of(picture)
         picture = colorize(picture, self.colormap)
-        return draw_axes(picture, ping, self.colormap, self.counts) if self.axes else picture
+        return draw_axes(picture, ping, self.colormap) if self.axes else picture
 
 
 def shows_echo(picture: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Styles: the pictures of pings as fan images and as the founding paper's."""
 
 import warnings
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,9 +17,11 @@ def test_fan_style(axes):
     ping = fan_ping(60)
     ping.intensity[:] = np.random.default_rng(0).random(ping.intensity.shape)
     law = sg.Counts("power", gain_percentile=90)
+    sonar = sg.Sonar("mine", 1800e3, *ping.intensity.shape, 60.0, 14.0, 0.3, 0.4, 5.4, counts=law)
+    ping = replace(ping, sonar=sonar)
     expected = sg.colorize(sg.fan_image(ping, 90, law), "hot")
     expected = sg.draw_axes(expected, ping, "hot", law) if axes else expected
-    assert (FanStyle(90, "hot", axes, law)(None, ping, 5) == expected).all()
+    assert (FanStyle(90, "hot", axes)(None, ping, 5) == expected).all()
 
 
 def test_unknown_colour_map():
