@@ -16,7 +16,6 @@ from sonar_gl.acoustics.pulse import (
     matched_filter,
     resolution_cell_m,
 )
-from sonar_gl.core.errors import Error
 from tests.support.threads import counting_thread
 
 BANDWIDTH_HZ, SPEED_M_S = 30e3, 1500.0
@@ -211,20 +210,3 @@ def test_field_weights_correlate_noise_as_the_pulse_does(taper, ratio):
     lags = np.arange(min(len(found), 40))
     expected = np.cos(2 * np.pi * np.outer(lags * ratio, f)) @ spectrum / spectrum.sum()
     assert np.abs(found[: len(lags)] - expected).max() < 8e-3  # amplitudes below a per cent are left out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((0.01, 0.0), "pulse: bandwidth_hz must be a number above 0 (got 0)"),
-        ((0.01, np.nan), "pulse: bandwidth_hz must be a number above 0 (got nan)"),
-        ((0.0, 1e3), "pulse: bin_size_m must be a number above 0 (got 0)"),
-        ((0.01, 1e3, "hann"), "pulse: unknown taper (got 'hann'; did you mean 'hamming'?)"),
-        ((0.01, 1e3, "uniform", -1.0), "pulse: sound_speed_m_s must be a number above 0 (got -1)"),
-    ],
-)
-def test_arguments_are_checked(arguments, message):
-    for function in (bin_weights, field_weights):
-        with pytest.raises(Error) as caught:
-            function(*arguments)
-        assert str(caught.value) == message
