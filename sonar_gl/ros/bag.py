@@ -18,13 +18,11 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
 from sonar_gl.core.atomic_file import atomic_write
-from sonar_gl.core.checks import check_choice, check_kind, frozen_array
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.poses import check_pose
@@ -78,17 +76,9 @@ class BagSettings:
     ----------
     y_sign : direction of y of beam_directions: "port", as sonar_image_proc reads them, in a frame with x
         down; or "starboard", as the message's documentation says, in a frame with x up. z is forward
-
-    Raises
-    ------
-    Error
-        if a setting is invalid.
     """
 
     y_sign: str = "port"
-
-    def __post_init__(self):
-        check_choice("y_sign of a ROS bag", self.y_sign, BEAMS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,17 +111,16 @@ class CameraRecord:
     camera : name of the camera
     pose : (4, 4) world_from_camera, x forward, y to port, z up, as for a sonar
     intrinsics : (3, 3), as for `Camera`; pixels count from the centre of the first
-    picture : None, or (H, W) or (H, W, 3) RGB, uint8 or float 0..1
-    depth_m : None, or (H, W) float32 of the same size, along the optical axis; NaN or infinity where no body
-        is
+    picture : (H, W) or (H, W, 3) RGB, uint8 or float 0..1
+    depth_m : (H, W) float32 of the same size, along the optical axis; NaN or infinity where no body is
     """
 
     time_s: float
     camera: str
     pose: np.ndarray
     intrinsics: np.ndarray
-    picture: np.ndarray | None = None
-    depth_m: np.ndarray | None = None
+    picture: np.ndarray
+    depth_m: np.ndarray
     vehicle_pose: np.ndarray | None = None
 
 
@@ -150,8 +139,8 @@ def write_part(path, records: Iterable, settings: BagSettings) -> None:
     Raises
     ------
     Error
-        if times fall or ROS cannot store them, names clash, something in a record is wrong or missing, the
-        file cannot be written, or the extra `ros` is not installed.
+        if times fall or ROS cannot store them, names clash, something in a record is wrong, the file cannot be
+        written, or the extra `ros` is not installed.
 
     Notes
     -----
@@ -159,17 +148,10 @@ def write_part(path, records: Iterable, settings: BagSettings) -> None:
     the time of each record. /tf_static rotates a sensor's own frame to that of its messages. Every file has
     it, so that each can be read alone.
     """
-    path = Path(path)
-    if path.suffix != ".mcap":
-        raise Error(f"{str(path)!r} must end in .mcap (got {path.suffix or 'no suffix'})")
-    check_kind("settings", settings, BagSettings, "such as BagSettings(y_sign='port')")
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         part = _PartWriter(BagFile(file), settings)
         for record in records:
-            check_kind("a record", record, PingRecord | CameraRecord, "a bag holds these and CameraRecord")
             part.add(record)
-        if part.time_ns < 0:
-            raise Error(f"{str(path)!r}: a part must hold at least one record (got none)")
         part.file.finish()
 
 
@@ -194,8 +176,6 @@ class _PartWriter:
 
     def _add_ping(self, record: PingRecord) -> None:
         name, ping = self._name(record.sonar, "sonar"), record.ping
-        if ping.pose is None:
-            raise Error(f"a ping of sonar {record.sonar!r} in a ROS bag must have its pose (got None)")
         turn = BEAMS[self.settings.y_sign]
         if ping.sonar is not None:
             turn = ping.sonar.sonar_from_head[:3, :3] @ turn
@@ -204,21 +184,12 @@ class _PartWriter:
         self._put_picture(name, header, record)
 
     def _add_camera(self, record: CameraRecord) -> None:
-        name, what = self._name(record.camera, "camera"), f"of camera {record.camera!r}"
-        K = frozen_array(record.intrinsics, np.float64, (3, 3), f"intrinsics {what}")
-        images = [image for image in (record.picture, record.depth_m) if image is not None]
-        sizes = {np.shape(image)[:2] for image in images}
-        if len(sizes) != 1:
-            got = "neither" if not sizes else " and ".join(map(str, sorted(sizes)))
-            raise Error(f"a record {what} must have a picture, a depth image, or both of a size (got {got})")
+        name = self._name(record.camera, "camera")
         header = self._place(name, record.pose, "_optical", SONAR_FROM_OPTICAL, record.vehicle_pose)
         self._put_picture(name, header, record)
-        if record.depth_m is not None:
-            depth = np.asarray(record.depth_m)
-            if depth.ndim != 2 or depth.dtype.kind != "f" or not depth.size:
-                raise Error(f"depth_m {what} must be (H, W) floats (got {depth.shape}, {depth.dtype})")
-            self._put(f"/{name}/depth", self.types.image(header, depth.astype(np.float32, copy=False)))
-        self._put(f"/{name}/camera_info", self.types.camera_info(header, *sizes.pop(), K))
+        self._put(f"/{name}/depth", self.types.image(header, record.depth_m))
+        info = self.types.camera_info(header, *record.depth_m.shape, record.intrinsics)
+        self._put(f"/{name}/camera_info", info)
 
     def _put_picture(self, name: str, header, record) -> None:
         if record.picture is not None:
@@ -230,7 +201,6 @@ class _PartWriter:
 
     def _name(self, name: str, kind: str) -> str:
         """Return a name in a form that ROS allows; an Error if another name has the same form."""
-        check_kind(f"the name of a {kind}", name, str, "ROS names its topics and frames after it")
         short = re.sub("[^A-Za-z0-9]+", "_", name).strip("_")
         if not short[:1].isalpha():
             raise Error(
@@ -349,16 +319,14 @@ def bag_metadata(parts: Iterable[BagContents]) -> str:
 
     Parameters
     ----------
-    parts : of `read_contents`, in any order
+    parts : of `read_contents`, at least one, in any order
 
     Raises
     ------
     Error
-        if there is no part, or two overlap in time.
+        if two parts overlap in time.
     """
     parts = sorted(parts, key=lambda part: (part.start_ns, part.end_ns, part.name))
-    if not parts:
-        raise Error("a bag must have at least one part (got none)")
     for former, latter in pairwise(parts):
         if latter.start_ns < former.end_ns:
             raise Error(

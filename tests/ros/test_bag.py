@@ -3,7 +3,6 @@
 import math
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -283,7 +282,9 @@ def test_a_camera(tmp_path, read):
 def split_bag(folder):
     """Make a bag of two parts with two sonars, one part with a camera that comes late."""
     folder.mkdir(exist_ok=True)
-    eye = CameraRecord(1.0, "eye", SONAR, np.eye(3), np.zeros((2, 2), np.uint8), None, VEHICLE)
+    eye = CameraRecord(
+        1.0, "eye", SONAR, np.eye(3), np.zeros((2, 2), np.uint8), np.ones((2, 2), np.float32), VEHICLE
+    )
     times = 0.1 + 0.5 * np.arange(5)
     pings = [[record(t, name) for name in ("left", "right")] for t in times]
     first = write(folder, *pings[0], *pings[1], eye, name="b.mcap")
@@ -390,23 +391,15 @@ def test_the_same_records_give_the_same_bytes(tmp_path):
 
 
 def test_invalid_records_are_refused(tmp_path):
-    path = tmp_path / "part.mcap"
-
-    def error(*records, settings=SETTINGS, to=path):
-        return error_of(write_part, to, records, settings)
+    def error(*records):
+        return error_of(write_part, tmp_path / "part.mcap", records, SETTINGS)
 
     assert "must be in the order of their times (got 1 s after 2 s)" in error(record(2.0), record(1.0))
     assert "0..2147483648 s (got -1" in error(record(-1.0))
-    assert "at least one record (got none)" in error()
-    assert "must end in .mcap (got .bag)" in error(record(), to=tmp_path / "part.bag")
-    assert "a record must be a PingRecord (got str; a bag holds these and CameraRecord)" in error("ping")
-    assert "settings must be a BagSettings (got dict" in error(record(), settings={})
     assert "begin with a letter from A to Z (got '3d')" in error(record(sonar="3d"))
-    assert "name of a sonar must be a str (got int" in error(record(sonar=3))
     clash = error(record(sonar="a-b"), record(sonar="a b"))
     assert "sonar 'a b' and that of sonar 'a-b', both 'a_b'" in clash
     assert "of sonar 'base-link' and that of a frame" in error(record(sonar="base-link"))
-    assert "must have its pose (got None)" in error(record(ping=make_ping(pose=None)))
     needed = "a ping in a ROS message must have sonar and acoustics"
     assert f"{needed} (missing: acoustics)" in error(record(ping=make_ping(acoustics=None)))
     without = make_ping(sonar=None, acoustics=None)
@@ -415,34 +408,13 @@ def test_invalid_records_are_refused(tmp_path):
     assert "vehicle_pose must be a rotation" in error(
         PingRecord(1.0, "a", make_ping(), vehicle_pose=2 * np.eye(4))
     )
-    camera = SimpleNamespace(time_s=1.0, camera="eye", pose=SONAR, intrinsics=np.eye(3))
-    for images, why in (
-        ((None, None), "got neither"),
-        ((np.zeros((2, 2), np.uint8), np.zeros((2, 3), np.float32)), "got (2, 2) and (2, 3)"),
-        (
-            (None, np.zeros((2, 2), np.uint8)),
-            "depth_m of camera 'eye' must be (H, W) floats (got (2, 2), uint8)",
-        ),
-    ):
-        assert why in error(CameraRecord(**vars(camera), picture=images[0], depth_m=images[1]))
     assert list(tmp_path.iterdir()) == []  # not even an unfinished file
-
-
-@pytest.mark.parametrize(
-    ("settings", "why"),
-    [
-        ({"y_sign": "left"}, "unknown y_sign of a ROS bag (got 'left'"),
-    ],
-)
-def test_invalid_settings_are_refused(settings, why):
-    assert why in error_of(BagSettings, **settings)
 
 
 def test_invalid_parts_are_refused(tmp_path):
     first = write(tmp_path, record(1.0), record(2.0), name="a.mcap")
     second = write(tmp_path, record(1.5), name="b.mcap")
     assert "(got a.mcap until 2 s and b.mcap from 1.5 s)" in error_of(metadata_of, second, first)
-    assert "at least one part" in error_of(bag_metadata, [])
     complete = second.read_bytes()
     for broken in (complete[:-100], b"", b"\x89MCAP0\r\n" + bytes(200), b"text"):
         second.write_bytes(broken)
