@@ -19,13 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.core.checks import (
-    check_choice,
-    check_kind,
-    check_number,
-    check_whole_number,
-    make_numbers_plain,
-)
+from sonar_gl.core.checks import check_choice, check_kind, check_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.settings import Noise
 
@@ -123,7 +117,8 @@ class PictureSettings:
     Raises
     ------
     Error
-        if a setting is out of bounds or unknown, or the printed form is chosen for a fan of 180° or more.
+        if height, seed, form or join is out of bounds or unknown, or the printed form is chosen for a fan of 180° or
+        more. The other settings are those of a `Sonar` and a `Noise`, which have checked them.
 
     Notes
     -----
@@ -148,18 +143,8 @@ class PictureSettings:
     seed: int = 0
 
     def __post_init__(self):
-        make_numbers_plain(self)
-        for key, low, high in (
-            ("azimuth_fov_rad", 1e-4, 2 * math.pi + 1e-9),
-            ("range_max_m", 1e-3, 1e5),
-            ("cloud_sigma_m", 0.0, 1e5),
-            ("salt_and_pepper", 0.0, 1.0),
-        ):
-            check_number(key, getattr(self, key), low, high)
-        for key, low, high in (("height", 1, 16000), ("median", 0, 255), ("seed", 0, 2**64 - 1)):
+        for key, low, high in (("height", 1, 16000), ("seed", 0, 2**64 - 1)):
             check_whole_number(key, getattr(self, key), low, high)
-        if self.median % 2 == 0 and self.median != 0:
-            raise Error(f"median must be odd, or 0 for none (got {self.median})")
         for key, known in (("form", ("isotropic", "printed")), ("join", ("circles", "polygons"))):
             check_choice(f"{key} of the picture", getattr(self, key), known)
         if self.form == "printed" and self.azimuth_fov_rad >= math.pi - 1e-9:
@@ -245,7 +230,7 @@ def demarco_picture(
 
     Parameters
     ----------
-    points_xyz : (N, 3), metres, sonar frame (x forward, y port, z up), in scan order, row by row; NaN or
+    points_xyz : (N, 3) float64, metres, sonar frame (x forward, y port, z up), in scan order, row by row; NaN or
         infinite for rays that met nothing
     intensity : (N,), clipped to 0..255
     grid_shape : (rows, columns) of the scan, for "polygons"
@@ -257,7 +242,7 @@ def demarco_picture(
     Raises
     ------
     Error
-        if shapes do not match, a point has no intensity, or the picture would be too wide.
+        if the picture would be too wide.
 
     Notes
     -----
@@ -268,7 +253,7 @@ def demarco_picture(
     have their circle. The author's code adds the noise to x alone; the paper's text, followed here, adds it
     to all coordinates.
     """
-    points, values = _checked_cloud(points_xyz, intensity)
+    points, values = points_xyz, np.asarray(intensity, np.float64).clip(0, 255)
     if settings.cloud_sigma_m > 0:
         normals = _stream(settings.seed, _CLOUD_STREAM).standard_normal(points.shape)
         points = points + settings.cloud_sigma_m * normals
@@ -320,18 +305,6 @@ def stamp_rings(image: np.ndarray, pixels: np.ndarray, values: np.ndarray) -> No
     image[:] = padded[1:-1, 1:-1]
 
 
-def _checked_cloud(points_xyz, intensity) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (N, 3) and intensities (N,) in 0..255, float64; raise an Error if they do not match."""
-    points, values = np.asarray(points_xyz, np.float64), np.asarray(intensity, np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise Error(f"points_xyz must have shape (N, 3) (got {points.shape})")
-    if values.shape != points.shape[:1]:
-        raise Error(f"intensity must have shape {points.shape[:1]}, one per point (got {values.shape})")
-    if np.isnan(values[np.isfinite(points).all(axis=1)]).any():
-        raise Error("intensity must be a number for each finite point (got NaN)")
-    return points, np.nan_to_num(values).clip(0, 255)
-
-
 def _stream(seed: int, term: int) -> np.random.Generator:
     """Return the random generator of a term."""
     return np.random.Generator(np.random.Philox(key=np.array([seed, term], np.uint64)))
@@ -339,11 +312,6 @@ def _stream(seed: int, term: int) -> np.random.Generator:
 
 def _quads(points: np.ndarray, inside: np.ndarray, grid_shape) -> np.ndarray:
     """Return quads of neighbouring points, (Q, 4) indices of corners in order round the quad, row by row."""
-    if grid_shape is None or len(grid_shape) != 2 or math.prod(grid_shape) != len(points):
-        raise Error(
-            f"join='polygons' needs grid_shape = (rows, columns) with one cell for each of "
-            f"the {len(points)} points (got {grid_shape})"
-        )
     index = np.arange(len(points)).reshape(grid_shape)
     corners = (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1])
     quads = np.stack(corners, axis=-1).reshape(-1, 4)
