@@ -8,8 +8,6 @@ from pathlib import Path
 
 import moderngl
 
-from sonar_gl.core.errors import Error
-
 
 def load_shader(name: str, folder: Path, defines: dict[str, int]) -> tuple[str, list[tuple[str, int]]]:
     """Read a shader file, insert the files that it includes, and put `#define`s after `#version`.
@@ -23,21 +21,14 @@ def load_shader(name: str, folder: Path, defines: dict[str, int]) -> tuple[str, 
     -------
     text : str, GLSL
     lines : for each line of the text, the file and the line number that it comes from, for error messages
-
-    Raises
-    ------
-    Error
-        if files include each other in a ring.
     """
     text, lines = [], []
 
-    def add(file: str, included: tuple[str, ...]):
-        if file in included:
-            raise Error(f"shader files must not include each other in a ring (got {' > '.join(included)})")
+    def add(file: str):
         for number, line in enumerate((folder / file).read_text(encoding="utf-8").splitlines(), 1):
             include = re.match(r'\s*#include\s+"([^"]+)"', line)
             if include:
-                add(include[1], (*included, file))
+                add(include[1])
                 continue
             text.append(line)
             lines.append((file, number))
@@ -46,7 +37,7 @@ def load_shader(name: str, folder: Path, defines: dict[str, int]) -> tuple[str, 
                     text.append(f"#define {key} {value}")
                     lines.append((file, number))
 
-    add(name, ())
+    add(name)
     return "\n".join(text) + "\n", lines
 
 
