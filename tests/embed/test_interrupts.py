@@ -7,20 +7,10 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl import embed
-from sonar_gl.gl import egl
-from tests.support import gl_host
 from tests.support.host_state import GL, changes, enum, snapshot
 from tests.support.interrupts import PACKAGE, SONAR, Interrupter
 
 FILES = "gl/host.py", "gl/state_guard.py", "embed/sectors.py", "embed/framebuffer.py"
-
-
-@pytest.fixture
-def context():
-    made = gl_host.make_context()
-    yield made
-    egl.library().eglMakeCurrent(egl.library().eglGetCurrentDisplay(), None, None, None)
-    made.release()
 
 
 def set_state(gl):

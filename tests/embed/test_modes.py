@@ -36,16 +36,13 @@ __all__ = ["main_lobe_alone"]  # the fixture
 
 
 @pytest.fixture(autouse=True)
-def context(monkeypatch):
+def context(context, monkeypatch):
     # the driver draws all of the Simulator's triangles, as it draws the host's: its rule for samples on an edge is not
     # that of the compiled rasteriser, which is llvmpipe's
     monkeypatch.setenv("SONAR_GL_SOFTWARE", "0")
-    made = gl_host.make_context()
     while GL.glGetError():  # errors of earlier tests, whose hosts failed on purpose
         pass
-    yield made
-    egl.library().eglMakeCurrent(egl.library().eglGetCurrentDisplay(), None, None, None)
-    made.release()
+    return context
 
 
 def scene_of(*more):

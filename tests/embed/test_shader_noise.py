@@ -6,7 +6,6 @@ import pytest
 import sonar_gl as sg
 from sonar_gl import embed
 from sonar_gl.embed import sensor as sensors
-from sonar_gl.gl import egl
 from tests.support import gl_host
 from tests.support.noisy_shaders import noisy_shaders
 
@@ -19,15 +18,7 @@ ECHO_BOUND = 1e-4
 # the planes count as one (SAME in borders.py), the border between them shifts by half a sample at most: by a hundredth
 # of the angle between them in a bin of some dozens of footprints, in few bins of a scene.
 INCIDENCE_BOUND_RAD, WORST_RAD, SHARE_BEYOND = 5e-3, 0.02, 1e-4
-
-
-@pytest.fixture(autouse=True)
-def context():
-    """The host's context."""
-    made = gl_host.make_context()
-    yield made
-    egl.library().eglMakeCurrent(egl.library().eglGetCurrentDisplay(), None, None, None)
-    made.release()
+pytestmark = pytest.mark.usefixtures("context")
 
 
 def labelled_ping(scene, sampling):
