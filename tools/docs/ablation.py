@@ -11,7 +11,6 @@ without that term, both without noise, with the samples that tolerance 0.01 asks
 from __future__ import annotations
 
 import argparse
-import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,6 +28,7 @@ from tools.bench import harness
 from tools.bench.harness import Contender
 from tools.chart import scenes
 from tools.docs.pages import DOCS, put_table
+from tools.pictures import write_small_png
 
 SCENES = {
     "pylon": 30.0,
@@ -43,7 +43,6 @@ UNDRAWN = ("absorption", "speckle", "receiver noise")
 LEAST_CHANGE = 1e-3  # of the image; terms that change less are not drawn
 SPAN_DB = 50.0  # of an image, below its strongest bin
 HEIGHT, WIDEST = 300, 1500  # of a fan, and of a picture, pixels
-MAX_BYTES = 120_000
 ROUNDS = 15
 
 
@@ -124,16 +123,6 @@ def picture(scene, sonar) -> np.ndarray:
     return np.vstack([np.hstack(heads), np.hstack([panel for panel, _ in panels])])
 
 
-def png(image: np.ndarray) -> bytes:
-    """Return the picture as a PNG of as many colours as fit."""
-    for colours in (256, 128, 96, 64, 48, 32):
-        data = io.BytesIO()
-        Image.fromarray(image).quantize(colours, dither=Image.Dither.NONE).save(data, "PNG", optimize=True)
-        if data.tell() <= MAX_BYTES:
-            return data.getvalue()
-    raise SystemExit(f"a picture would have {data.tell()} bytes (at most {MAX_BYTES}; give it less height)")
-
-
 def cost(name: str) -> str:
     """Return one line: what multipath costs over a ping without it of the same samples.
 
@@ -205,9 +194,9 @@ def main():
         text = f"{bodies}; times on {renderer}.\n\n{table(prices)}"
         print(f"{name}: {text}\n")
         put_table(path, name, text)
-        data = png(picture(scene, sonar))
-        (options.docs / "pictures" / f"ablation_{name}.png").write_bytes(data)
-        print(f"ablation_{name}.png: {len(data) / 1e3:.0f} kB\n")
+        drawn = options.docs / "pictures" / f"ablation_{name}.png"
+        write_small_png(drawn, Image.fromarray(picture(scene, sonar)))
+        print(f"{drawn.name}: {drawn.stat().st_size / 1e3:.0f} kB\n")
     if options.cost and not options.scenes:
         put_table(path, "cost", "```text\n" + "\n".join(lines) + "\n```")
 

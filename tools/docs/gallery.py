@@ -20,11 +20,11 @@ from PIL import Image
 
 import sonar_gl as sg
 from tools.docs.pages import DOCS
+from tools.pictures import MAX_BYTES
 
 PICTURES = DOCS / "pictures"
 SEED = 0
 TIME_S = 4.0  # the divers have just breathed out
-MAX_BYTES = 120_000
 COLORMAP = "copper"  # of fan images; the founding paper's are Jet
 
 

@@ -22,14 +22,12 @@ from sonar_gl.live.settings import LiveSettings
 from sonar_gl.scene.load import load_scene
 from sonar_gl.sonar.sonar import load_sonar
 from tests.support.browser import COUNT_PICTURES, open_browser
-from tools.pictures import write_png
+from tools.pictures import write_small_png
 
 PICTURES = Path(__file__).resolve().parents[2] / "docs" / "pictures"
 SIZE = {"width": 1280, "height": 800}
 # sonar, range in metres, and a place of the picture, 0..1 to the right and down, at which the pointer is
 SCENES = {"pylon": ("p900-45", 22.0, (0.69, 0.41)), "ocean_floor": ("oculus-m750d-lf", 30.0, (0.56, 0.6))}
-COLOURS = 192, 160, 128, 96, 64  # of the palette: as many as leave a picture below MAX_BYTES
-MAX_BYTES = 120_000
 FILM_WIDTH, FILM_FRAMES, FRAME_MS, TURN_RAD = 800, 30, 120, 0.012
 SETTLE_S = 8.0  # for the scene to be drawn by software
 WAIT_MS = 120_000
@@ -67,11 +65,7 @@ def draw(browser, name: str) -> None:
         _, _, (right, down) = SCENES[name]
         tab.mouse.move(box["x"] + right * box["width"], box["y"] + down * box["height"])
         time.sleep(SETTLE_S)
-        image, path = screenshot(tab), PICTURES / f"view_{name}.png"
-        for colours in COLOURS:
-            write_png(path, image, colours)
-            if path.stat().st_size <= MAX_BYTES:
-                break
+        write_small_png(PICTURES / f"view_{name}.png", screenshot(tab))
 
 
 def film(browser, path: Path) -> None:
