@@ -605,6 +605,20 @@ print("loaded", *(name for name in ("numba", "moderngl", "cv2", "trimesh") if na
     assert done.stdout.splitlines()[-1] == "loaded"
 
 
+def test_the_garbage_collector_passes_over_the_modules_of_a_command():
+    code = """
+import gc
+from sonar_gl import cli
+runs = []
+gc.callbacks.append(lambda phase, info: runs.append(phase))
+cli.render
+print(len(runs), gc.isenabled(), gc.get_freeze_count() > 50_000, len(gc.get_objects()) < 1000)
+assert not hasattr(cli, "rendered") and gc.isenabled()
+"""
+    done = python("-c", code, check=True)
+    assert done.stdout.split() == ["0", "True", "True", "True"]
+
+
 def test_import_is_quick_for_it_loads_no_library():
     code = f"import sys, sonar_gl; print(*[name for name in {[*HEAVY, 'click']} if name in sys.modules])"
     done = python("-c", code, check=True)
