@@ -33,8 +33,8 @@ _load, __dir__, __all__ = lazy_loader.attach(
 def __getattr__(name):
     """Load a module, and have Python's garbage collector pass over all that was loaded with it.
 
-    It would else go through the objects of modules, a hundred thousand that stay, again and again: a tenth of the time of
-    a command that makes one ping.
+    It would else go through the objects of modules, a hundred thousand that stay, again and again: a tenth of the time
+    of a command that makes one ping.
     """
     pause = CollectorPause()
     try:
