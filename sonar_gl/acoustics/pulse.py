@@ -177,7 +177,9 @@ def _coarse_table(ratio: float, taper: str) -> tuple[np.ndarray, np.ndarray]:
     f = (np.arange(512) + 0.5) / 1024  # in cycles per bin
     root = np.sqrt(_aliased_power(f, ratio, PULSE_TAPERS[taper]))
     bins = np.arange(MAX_COARSE * COARSE_POINTS + 1) / COARSE_POINTS
-    return bins, np.cos(2 * np.pi * np.outer(bins, f)) @ root
+    phases = np.outer(bins, f)
+    phases *= 2 * np.pi
+    return bins, np.cos(phases, out=phases) @ root
 
 
 def is_coarse(bin_size_m: float, bandwidth_hz: float, taper: str, sound_speed_m_s: float) -> bool:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import NamedTuple
 from weakref import WeakSet
 
 import numpy as np
@@ -26,6 +28,29 @@ IN_USE = (
 )
 
 BODIES_CURE = 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"'  # for messages
+
+
+class ReleasedBubbles(NamedTuple):
+    """The bubbles of some plumes at one time.
+
+    Attributes
+    ----------
+    time_s : the time, seconds
+    plumes : the Bubbles
+    poses : (4, 4) world_from_plume of each, read-only
+    bubbles : of `SceneState`, read-only
+    """
+
+    time_s: float
+    plumes: tuple[Bubbles, ...]
+    poses: tuple[np.ndarray, ...]
+    bubbles: np.ndarray
+
+    def are_of(self, time_s: float, plumes: Sequence[Bubbles], poses: Sequence[np.ndarray]) -> bool:
+        """Return whether they are those of these plumes, the same objects, at this time."""
+        own, others = (*self.plumes, *self.poses), (*plumes, *poses)
+        is_same = time_s == self.time_s and len(own) == len(others)
+        return is_same and all(one is other for one, other in zip(own, others, strict=True))
 
 
 class World:
@@ -59,6 +84,7 @@ class World:
         self._users, self.thread, self._jobs = set(), SecondThread(), WeakSet()
         self.n_changes, self._taking = 0, threading.local()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
+        self._released = ReleasedBubbles(0.0, (), (), np.empty((0, 4)))  # of the last ping with any
         self.engine = make_engine(self.scene, engine, device, context)
         self.gl_info = self.engine.driver
         self._indices = {body.name: index for index, body in enumerate(scene.bodies)}
@@ -120,12 +146,26 @@ class World:
             state = replace(state, reflectivity=self._reflectivity(reflectivity))
         if not (with_bubbles and self.scene.plumes):
             return state
-        present = [plume for plume in self.scene.plumes if plume_poses[plume.name] is not None]
-        found = [np.column_stack(plume.at(state.time_s or 0.0, plume_poses[plume.name])) for plume in present]
-        bubbles = np.concatenate([np.empty((0, 4)), *found])
-        if self.scene.surface_z_m is not None:
-            bubbles = bubbles[bubbles[:, 2] < self.scene.surface_z_m]
-        return replace(state, bubbles=bubbles)
+        return replace(state, bubbles=self._bubbles_at(state.time_s or 0.0, plume_poses))
+
+    def _bubbles_at(self, time_s: float, plume_poses: dict) -> np.ndarray:
+        """Return the bubbles of the plumes that are present: those of the ping before, where nothing differs.
+
+        They take a millisecond to find, and most pings of a simulator have no time of their own.
+        """
+        plumes = [plume for plume in self.scene.plumes if plume_poses[plume.name] is not None]
+        poses = [plume_poses[plume.name] for plume in plumes]
+        released = self._released
+        if not released.are_of(time_s, plumes, poses):
+            found = (
+                np.column_stack(plume.at(time_s, pose)) for plume, pose in zip(plumes, poses, strict=True)
+            )
+            bubbles = np.concatenate([np.empty((0, 4)), *found])
+            if self.scene.surface_z_m is not None:
+                bubbles = bubbles[bubbles[:, 2] < self.scene.surface_z_m]
+            bubbles.setflags(write=False)
+            released = self._released = ReleasedBubbles(time_s, tuple(plumes), tuple(poses), bubbles)
+        return released.bubbles
 
     def mask_of(self, names) -> np.ndarray:
         """Return (bodies + 1,) bool by number, True for these bodies: a background for shadows.

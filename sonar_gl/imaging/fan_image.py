@@ -87,14 +87,14 @@ class FanGeometry:
             rows = slice(top, min(top + _BLOCK_ROWS, self.height))
             row, column = np.ogrid[rows, : self.width]
             forward, port = self.sonar_row - row, self.sonar_column - column
-            range_m = np.hypot(forward, port) / self.pixels_per_m
+            pixels = np.hypot(forward, port)
+            range_m = pixels / self.pixels_per_m
             azimuth = np.arctan2(port, forward)
             azimuth = middle + np.remainder(azimuth - middle + np.pi, 2 * np.pi) - np.pi
             inside = (range_m >= inner_m) & (range_m <= outer_m)
             if not self.full_circle:
                 within = (azimuth >= low) & (azimuth <= high)
                 # near the sonar no pixel's centre may lie between the edges, and echoes there would be lost
-                pixels = np.hypot(forward, port)
                 aside = pixels * np.abs(np.sin(azimuth - middle))
                 within |= (aside <= _HALF_PIXEL) & (pixels >= 1) & (np.abs(azimuth - middle) < math.pi / 2)
                 inside &= within

@@ -431,6 +431,25 @@ def test_bubbles_depend_on_the_time_of_a_ping():
     assert "time_s" not in without_time.meta
 
 
+def test_bubbles_are_found_once_while_nothing_differs():
+    plume, wanted = sg.Bubbles("plume", sg.pose(x=4, z=-1.5)), {}
+    with sg.Simulator(sg.Scene([wall(7.0), plume]), SONAR, sampling=sg.Sampling(3, 60)) as simulator:
+
+        def found(bodies=None, time_s=None):
+            return simulator.world.state_of(bodies, time_s, with_bubbles=True).bubbles
+
+        before = found()
+        assert found({"wall": None}, 0.0) is before and not before.flags.writeable
+        for changed in (
+            {"time_s": 1.0},
+            {"bodies": {"plume": sg.pose(x=5)}},
+            {"bodies": {"plume": None}},
+            {},
+        ):
+            wanted[str(changed)] = found(**changed).tobytes()
+        assert len(set(wanted.values())) == len(wanted) and found().tobytes() == before.tobytes()
+
+
 def test_the_tolerance_holds_with_bubbles():
     """Samples are chosen for the attenuated surfaces; the bubbles do not depend on them."""
     plume = sg.Bubbles("plume", sg.pose(x=4, z=-1.5))

@@ -581,12 +581,13 @@ def test_version_and_help_with_an_example():
 
 
 def test_help_of_every_command_loads_no_library_but_click():
+    """Nor what reads the metadata of packages, for the messages of missing ones."""
     code = f"""
 import sys
 from sonar_gl.cli.main import main
 for name in main.commands:
     main([name, "--help"], standalone_mode=False)
-print("loaded", *(name for name in {HEAVY} if name in sys.modules))
+print("loaded", *(name for name in {[*HEAVY, "importlib.metadata", "urllib.request"]} if name in sys.modules))
 """
     done = python("-c", code, check=True, encoding="utf-8")  # of commands, whatever the locale
     assert done.stdout.splitlines()[-1] == "loaded"
@@ -602,6 +603,20 @@ print("loaded", *(name for name in ("numba", "moderngl", "cv2", "trimesh") if na
 """
     done = python("-c", code, check=True)
     assert done.stdout.splitlines()[-1] == "loaded"
+
+
+def test_the_garbage_collector_passes_over_the_modules_of_a_command():
+    code = """
+import gc
+from sonar_gl import cli
+runs = []
+gc.callbacks.append(lambda phase, info: runs.append(phase))
+cli.render
+print(len(runs), gc.isenabled(), gc.get_freeze_count() > 50_000, len(gc.get_objects()) < 1000)
+assert not hasattr(cli, "rendered") and gc.isenabled()
+"""
+    done = python("-c", code, check=True)
+    assert done.stdout.split() == ["0", "True", "True", "True"]
 
 
 def test_import_is_quick_for_it_loads_no_library():

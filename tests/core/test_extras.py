@@ -5,6 +5,7 @@ import re
 import shlex
 import shutil
 import sys
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
@@ -35,7 +36,7 @@ def test_a_checkout_is_installed_in_place():
 
 def test_without_a_checkout_the_command_installs_the_requirements(monkeypatch, tmp_path):
     monkeypatch.setattr(extras, "__file__", str(tmp_path / "sonar_gl" / "core" / "extras.py"))
-    monkeypatch.setattr(extras, "requires", lambda name: METADATA)
+    monkeypatch.setattr("importlib.metadata.requires", lambda name: METADATA)
     monkeypatch.setattr(extras, "_installed_from", lambda: None)
     assert extras.install_command("batch") == (
         f"""{PIP} 'rosbags>=0.11' 'embreex>=4.4; python_version > "3"' 'zarr>=3.1'"""
@@ -43,9 +44,9 @@ def test_without_a_checkout_the_command_installs_the_requirements(monkeypatch, t
     assert extras.install_command("unknown") == "install what its extra 'unknown' requires"
 
     def missing(name):
-        raise extras.PackageNotFoundError(name)
+        raise PackageNotFoundError(name)
 
-    monkeypatch.setattr(extras, "requires", missing)
+    monkeypatch.setattr("importlib.metadata.requires", missing)
     assert extras.install_command("batch") == "install what its extra 'batch' requires"
 
 
@@ -78,7 +79,7 @@ def test_the_command_leaves_out_what_is_not_for_this_machine(monkeypatch, marker
     """As Cyclone DDS, of which there are no wheels for ARM: pip would install nothing at all."""
     where = 'python_version < "3.14" and (sys_platform != "linux" or platform_machine == "x86_64")'
     entry = f"cyclonedds>=11.0.1; {marker.format(where=where)}"
-    monkeypatch.setattr(extras, "requires", lambda name: [entry])
+    monkeypatch.setattr("importlib.metadata.requires", lambda name: [entry])
     assert extras.requirements("live") == [f"cyclonedds>=11.0.1; ({where})"]
 
 

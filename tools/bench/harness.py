@@ -58,8 +58,13 @@ def one_line(machine: Mapping) -> str:
 
 
 def creep(pose, number: int):
-    """Return a pose moved ahead by `number` rounds of CREEP_M."""
-    return pose @ sg.pose(x=CREEP_M * number)
+    """Return a pose moved ahead by `number` rounds of CREEP_M.
+
+    In 2 us, as it is timed with the ping: a product with one of `sg.pose` takes 20, a tenth of the smallest ping.
+    """
+    moved = np.array(pose)
+    moved[:3, 3] += CREEP_M * number * moved[:3, 0]
+    return moved
 
 
 def timed(function: Callable, *arguments, **keywords) -> tuple[float, object]:

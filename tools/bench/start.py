@@ -5,7 +5,8 @@
 
 Memory is the most that was resident, clean pages of shared libraries included: two LLVMs, Mesa's and Numba's,
 make 120 MB of it. Times are of whole processes, the interpreter's own start included; beside them stands how
-long a processor was busy, which grows less where other programs use it too. Files are in the page cache.
+long a processor was busy, which grows less where other programs use it too. Files are in the page cache,
+and Python keeps the bytecode of modules, as pip makes it of what it installs.
 Numba's machine code is cached in a folder of its own, empty at the beginning: the first process of all
 compiles, and has a row of its own.
 """
@@ -51,6 +52,9 @@ def measure(code: str, folder: str) -> tuple[float, float, float]:
     """Return the seconds of a fresh process, those of its processors, and its peak memory in MB."""
     home = str(Path(__file__).resolve().parents[2])
     environment = {**os.environ, "PYTHONPATH": home, "NUMBA_CACHE_DIR": os.path.join(folder, "cache")}
+    environment.pop(
+        "PYTHONDONTWRITEBYTECODE", None
+    )  # with it each process compiles the text of all modules, 0.2 s
     start = perf_counter()
     done = subprocess.run(
         [sys.executable, "-c", f"OUT = {folder!r}\n{code}\n{REPORT}"],
