@@ -231,7 +231,10 @@ class ImageSampling:
             return 0.0
         share, images, known = echo.share / (1 + echo.share), echo.images, self.choice.error
         own = FIRST_ERROR if known is None else known.at(images.rows)
-        of_bins = share * own + (1 - share) * (echo.direct_error or 0.0)
+        direct = echo.direct_error or 0.0
+        if direct <= self._tolerance:  # so much is left to it where samples are chosen: its estimate has room
+            direct = min(direct, USUAL_DIRECT_ERROR * self._tolerance)
+        of_bins = share * own + (1 - share) * direct
         fewer = THINNINGS[images.halvings].times_fewer
         return max(of_bins, _error_by_samples(share, images.imaged, fewer) / WORST_BODY)
 

@@ -118,19 +118,21 @@ class LevelSearch:
                 return ChosenView(tried, judged.plan)
             level, before = level + min(judged.steps, MOST_STEPS_ALONE), tried
 
-    def find_coarsest(self, setup: PingSetup, first: int) -> FoundLevel:
+    def find_coarsest(self, setup: PingSetup, first: int, finest: int | None = None) -> FoundLevel:
         """Find the coarsest level that keeps the tolerance in a ping, or the finest that fits.
 
         Parameters
         ----------
         first : level to begin with
+        finest : the finest level to try; None for all
 
         Raises
         ------
         SampleLimitError
             if the coarsest samples do not fit.
         """
-        finest, level = self.finest, min(first, self.finest)
+        finest = self.finest if finest is None else finest
+        level = min(first, finest)
         # the level lies above the one that failed; the other limit has kept the tolerance, or does not fit
         failed, kept = -1, finest + 1
         found, total = {}, 0.0
@@ -163,11 +165,36 @@ class LevelSearch:
 
         Their order does not count.
         """
-        plans = [self.find_coarsest(setup, self.usual).plan for setup in evenly_picked(setups, MAX_POSES)]
-        level = max(plan.level for plan in plans)
+        picked = evenly_picked(setups, MAX_POSES)
+        plans = [self.find_coarsest(setup, self.usual).plan for setup in picked]
+        while not self._fit(picked, plans, level := max(plan.level for plan in plans)):
+            plans = [
+                self.find_coarsest(setup, level - 1, level - 1).plan if plan.level == level else plan
+                for setup, plan in zip(picked, plans, strict=True)
+            ]
         finest = [plan for plan in plans if plan.level == level]
         return replace(
             max(finest, key=lambda plan: plan.worst_body_estimate),
             error_estimate=max(plan.error_estimate for plan in finest),
             met=all(plan.met for plan in plans),
         )
+
+    def _fit(self, setups: Sequence[PingSetup], plans: Sequence[Plan], level: int) -> bool:
+        """Return whether the samples of a level fit in pings whose plans may have coarser ones.
+
+        As bodies fill more of the fan, fewer fit.
+        """
+        stage = self.model.stage_at(level)
+        sectors = stage.fan.sectors
+        if (
+            sum(one.columns for one in sectors) * max(one.rows for one in sectors)
+            <= self._stages.most_samples
+        ):
+            return True
+        try:
+            for setup, plan in zip(setups, plans, strict=True):
+                if plan.level < level:
+                    stage.draw([setup.head_pose], [setup.state], with_bodies=True)
+        except SampleLimitError:
+            return False
+        return True

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
-from sonar_gl.engine.flow import PingSetup, ReceivedPing
+from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing
 from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
@@ -59,6 +59,23 @@ class _Started(NamedTuple):
     job: Job
     pings: list[_TakenPing]
     choice: object
+
+
+class _Complete(NamedTuple):
+    """A ping made ahead that comes out as it is."""
+
+    received: ReceivedPing
+    report: PingReport
+
+
+class _WithoutEcho(NamedTuple):
+    """A ping made ahead that keeps its samples, but is drawn again, for the report of why it has no echo."""
+
+    setup: PingSetup
+
+
+class _ToMakeAgain(NamedTuple):
+    """A ping made ahead whose samples were not those that it has to have, or more than fit."""
 
 
 class _Upcoming:
@@ -282,29 +299,46 @@ def _undelivered(in_flight: deque[_Started]) -> list[_TakenPing]:
 def _finish_first(run: Run, upcoming: _Upcoming, in_flight: deque[_Started]) -> Iterator[Ping]:
     """Yield the pings that were started first; one that has to be made again is, and those after it are put back."""
     first = in_flight[0]
-    try:
-        answers = first.job.result()
-    except SampleLimitError:
-        answers = [None]
-    for received in answers:
-        with run.world.unchanged():
-            is_good = received is not None and not run.review_ahead(received, first.choice)
-            if is_good and received.drawn.resolution.plan is not None:
-                upcoming.follow(first.pings[0], received)
-            # where there is no echo, the report follows when the ping is drawn again
-            report = run.report(received) if is_good and received.total > 0 else None
-        if not is_good:
+    for outcome in _outcomes_of(run, upcoming, first):
+        if isinstance(outcome, _ToMakeAgain):
             upcoming.put_back(_undelivered(in_flight))
             in_flight.clear()
             yield _make_here(run, upcoming.pop())
             return
-        if report is None:
-            ping = _make_without_echo(run, received.drawn.setup)
+        if isinstance(outcome, _WithoutEcho):
+            ping = _make_without_echo(run, outcome.setup)
         else:
-            ping = finish(run, received, report)
+            ping = finish(run, outcome.received, outcome.report)
         first.pings.pop(0)
         yield ping
     in_flight.popleft()
+
+
+def _outcomes_of(
+    run: Run, upcoming: _Upcoming, started: _Started
+) -> Iterator[_Complete | _WithoutEcho | _ToMakeAgain]:
+    """Yield what became of pings that were started together, each once those before it have come out."""
+    try:
+        answers = started.job.result()
+    except SampleLimitError:  # of the first of them that has not come out: it is to get fewer samples
+        yield _ToMakeAgain()
+        return
+    for received in answers:
+        yield _outcome_of(run, upcoming, started, received)
+
+
+def _outcome_of(
+    run: Run, upcoming: _Upcoming, started: _Started, received: ReceivedPing
+) -> _Complete | _WithoutEcho | _ToMakeAgain:
+    """Review the first ping of those started together that has not come out."""
+    with run.world.unchanged():
+        if run.review_ahead(received, started.choice):
+            return _ToMakeAgain()
+        if received.drawn.resolution.plan is not None:
+            upcoming.follow(started.pings[0], received)
+        if received.total <= 0:
+            return _WithoutEcho(received.drawn.setup)
+        return _Complete(received, run.report(received))
 
 
 def _make_here(run: Run, setup: PingSetup) -> Ping:

@@ -13,6 +13,7 @@ from sonar_gl.engine import adaptive
 from sonar_gl.engine.error_model import ErrorModel
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
+from sonar_gl.sonar.sampling import ToleranceWarning
 
 SONAR = sg.Sonar("moving", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
 IDEAL = sg.Acoustics.ideal()
@@ -148,6 +149,20 @@ def test_samples_get_coarser_where_more_do_not_fit(monkeypatch, way):
             pings = simulator.pings(approach) if way == "pings" else map(simulator.ping, approach)
             rows.append([ping.meta["sampling"]["rows"] for ping in pings])
     assert any(few < many for many, few in zip(*rows, strict=True))
+
+
+def test_planned_samples_fit_in_all_planned_pings(monkeypatch):
+    """Far from a ball many samples fit, and were planned; near it, where it fills the fan, they ended the pings."""
+    monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 2000)
+    ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
+    approach = [sg.pose(0.4 * k) for k in range(18)]
+    with sg.Simulator(ball, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
+        with pytest.warns(ToleranceWarning) as warned:
+            plan = simulator.plan(approach)
+        pings = [simulator.ping(pose) for pose in approach]
+    assert len(warned) == 1 and not plan.met
+    assert {ping.meta["sampling"]["rows"] for ping in pings} == {plan.sampling.rows}
+    assert {ping.error_estimate for ping in pings} == {plan.bound}
 
 
 def test_given_samples_that_do_not_fit_are_an_error(monkeypatch):
