@@ -66,7 +66,7 @@ class Ping:
         `Acoustics.has_cones`) the true azimuth of what lies at elevation 0 alone
     range_m : (K,) float64, bin centres, metres
     body_id : (B, K) uint16 or None, 1 + index of the body with the strongest echo, 0 if there is none, or none that a
-        display shows above the noise; likewise the other labels of a bin
+        display shows above the noise by itself; likewise the other labels of a bin
     elevation_rad : (B, K) float32 or None, mean elevation of that echo, radians, NaN if there is none
     pose : (4, 4) float64, world_from_sonar, of the housing; `sonar.head_pose` of it is the head's, whose axes
         azimuths and elevations refer to
@@ -77,7 +77,7 @@ class Ping:
         or planned for other pings
     incidence_rad : (B, K) float32 or None, mean incidence of the strongest body's echo, radians, NaN if there is none
     true_range_m : (B, K) float32 or None, mean slant range of that echo in the water, metres, NaN if there is none
-    share : (B, K) float32 or None, that echo's share of the bin's, 0..1
+    share : (B, K) float32 or None, that echo's share of all mean echo in the bin, 0..1
     shadow : (B, K) bool or None, whether bodies in front of the background have blocked its echo
     sonar : the Sonar of the ping; None if unknown, as in a `Ping` made from arrays alone
     acoustics : the Acoustics of the ping, in its own water; None if unknown

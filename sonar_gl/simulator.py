@@ -181,9 +181,10 @@ class Simulator:
         reflectivity : of this ping alone, names of bodies to μ, 0..1; where each face has its own, a factor
         water : Water of this ping alone; None is that of the acoustics
         background : with labels, names of bodies such as the floor on whose echo others cast a `shadow`
-        label_level_db : with labels, the level of a bin's mean echo, dB of `Ping.intensity`, from which on the bin is
-            labelled, whatever the noise. None: bins are labelled whose echo a display of the sonar's counts shows, see
-            `Counts.least_shown`, and, in a noisy ping, is no weaker than the mean power of the receiver's noise
+        label_level_db : with labels, the level of a body's mean echo in a bin, dB of `Ping.intensity`, from which on it
+            is labelled, whatever the noise. None: it is labelled where a display of the sonar's counts shows this echo,
+            see `Counts.least_shown`, and, in a noisy ping, where it is no weaker than the mean power of the receiver's
+            noise
 
         Warns
         -----

@@ -455,14 +455,32 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/faint bins",
-        "_clear(labels, intensity < np.float32(least)",
-        "_clear(labels, intensity < np.float32(0.0)",
+        "_clear(labels, intensity, np.full((1, 1), least, np.float32))",
+        "_clear(labels, intensity, np.full((1, 1), 0.0, np.float32))",
+        LABELS,
+    ),
+    Mutation(
+        "labels/own echo",
+        "share[b, first + k] * echo[b, first + k] < least[0, 0]",
+        "echo[b, first + k] < least[0, 0]",
+        LABELS,
+    ),
+    Mutation(
+        "labels/echo over a body",
+        "max(total[bins + k], direct[b, k0 + k] / gain[k0 + k])",
+        "total[bins + k]",
+        LABELS,
+    ),
+    Mutation(
+        "labels/multipath over a body",
+        "total = direct + other",
+        "total = direct + 0 * other",
         LABELS,
     ),
     Mutation(
         "labels/hidden by noise",
-        "is_hidden = ping.intensity < power",
-        "is_hidden = ping.intensity < power.max()",
+        "is_hidden = own < power",
+        "is_hidden = own < power.max()",
         (*LABELS, "test_hidden_labels"),
     ),
     Mutation(
@@ -999,7 +1017,7 @@ MUTATIONS = (
         "(met.depth_inverse, *met.slopes, 1.0)",
         SURFACE,
     ),
-    Mutation("surface/labels", "labels.share * direct < other", "labels.share * direct < 0 * other", SURFACE),
+    Mutation("surface/labels", "_clear(labels, direct, other)", "_clear(labels, direct, 0 * other)", SURFACE),
     Mutation(
         "surface/height of the wind", "AT_19_5_M * wind_speed_m_s", "wind_speed_m_s", ("test_sea_surface",)
     ),

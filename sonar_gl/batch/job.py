@@ -193,8 +193,8 @@ class LabelsTable(Table):
         * and ?
     background : bodies on which shadows fall
     height : height in pixels of the fan image in which bounding boxes are given
-    level_db : bins of at least this mean echo are labelled, dB; None for what the display of each sonar shows
-        above the noise
+    level_db : bins are labelled where a body's mean echo is at least this, dB; None for what the display of each sonar
+        shows above the noise
     """
 
     layers: Annotated[list[Literal[LAYERS]], Field(min_length=1), AfterValidator(_check_no_layer_twice)] = (

@@ -71,11 +71,14 @@ class BodySums(NamedTuple):
     ----------
     runs : plain tuple of Runs
     body_bins : of `bins_of_bodies`
+    direct : (B, K) float32, all direct echo with the gain, which is overwritten later; of no length where it is that of
+        the runs alone, without far side lobes and bubbles
     is_little : there is little work, which one thread does
     """
 
     runs: tuple
     body_bins: np.ndarray
+    direct: np.ndarray
     is_little: bool
 
 
@@ -412,16 +415,18 @@ class Beamformer:
         runs = self._labeller.sum_up(view, self.strips, run, columns, clear)
         self.share_wide_columns(columns)
         echo = self._with_bubbles(self.weigh(columns, gain), view, gain)
-        return echo, BodySums(runs, bins_of_bodies(view.body_spans, self._bins[0]), is_little)
+        is_more = self._far is not None or view.bubbles is not None
+        direct = echo.intensity if is_more else np.empty((0, 0), np.float32)
+        return echo, BodySums(runs, bins_of_bodies(view.body_spans, self._bins[0]), direct, is_little)
 
     def find_labels(
         self, bodies: BodySums, gain, n_bodies: int, background: ShadowedBackground | None = None
     ) -> Labels:
-        """Return the labels of samples whose bodies were summed last.
+        """Return the labels of samples whose bodies were summed last, with shares of the direct echo.
 
         Parameters
         ----------
-        gain : (K,) float32
+        gain : (K,) float32, as when they were summed
         n_bodies : the highest number of a body
         background : on which bodies cast shadows; None for no shadows
         """
@@ -432,7 +437,8 @@ class Beamformer:
             # labels know no far side lobes
             unshadowed, _ = self._weigh_support(columns, self._tiles, NO_GAIN)
         run = partial(self._run, serial=bodies.is_little)
-        return self._labeller.find(bodies.runs, run, gain, n_bodies, bodies.body_bins, mask, unshadowed)
+        sums = bodies.body_bins, bodies.direct
+        return self._labeller.find(bodies.runs, run, gain, n_bodies, *sums, mask, unshadowed)
 
     def _run(self, work, serial: bool = False) -> None:
         """Do work(0) and work(1)."""

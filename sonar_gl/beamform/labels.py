@@ -78,53 +78,80 @@ def without_weaker(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Lab
 
     Parameters
     ----------
-    labels : its arrays are overwritten
-    direct : (B, K) float32, echo of bodies before the matched filter; what bubbles and far side lobes return in it
-        counts as the strongest body's
+    labels : with shares of the direct echo; its arrays are overwritten
+    direct : (B, K) float32, direct echo before the matched filter
     other : (B, K) float32, the echo without body, likewise
     """
-    _clear(labels, labels.share * direct < other)
+    _clear(labels, direct, other)
+    return labels
+
+
+def of_all_echo(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Labels:
+    """Return labels with shares of all echo, for those of the direct echo.
+
+    Parameters
+    ----------
+    labels : its shares are overwritten
+    direct : (B, K) float32, direct echo before the matched filter
+    other : (B, K) float32, all other echo, likewise
+    """
+    total = direct + other
+    labels.share[...] *= np.divide(direct, total, out=total, where=total > 0)
     return labels
 
 
 def without_faint(labels: Labels, intensity: np.ndarray, least: float) -> Labels:
-    """Return the labels of bins with at least so much mean echo; others have no body. Shadows and sums of bodies stay.
+    """Return the labels of bins in which the body itself has so much mean echo; others have none.
+
+    Shadows and sums of bodies stay. A body has its share of the bin's echo: the far side lobes and the multipath of
+    others, which lie over it, do not make it visible.
 
     Parameters
     ----------
-    labels : its arrays are overwritten
+    labels : with shares of all echo; its arrays are overwritten
     intensity : (B, K) float32, mean echo of the ping
     least : intensity from which on bins are labelled
     """
-    _clear(labels, intensity < np.float32(least))
+    _clear(labels, intensity, np.full((1, 1), least, np.float32))
     return labels
 
 
-def _clear(labels: Labels, is_cleared: np.ndarray) -> None:
-    """Take the labels of some bins, (B, K) bool, but shadows and sums of bodies."""
+def _clear(labels: Labels, echo: np.ndarray, least: np.ndarray) -> None:
+    """Take the labels of bins whose body has less echo, but shadows and sums of bodies; arguments of `_clear_bins`."""
     means = labels.elevation_rad, labels.incidence_rad, labels.true_range_m
-    _clear_bins(is_cleared, labels.body_id, labels.share, *means)
+    _clear_bins(echo, least, labels.body_id, labels.share, *means)
 
 
 @compiled
-def _clear_bins(is_cleared, body_id, share, elevation_rad, incidence_rad, true_range_m):
-    """Set labels to those of bins without echo where `is_cleared`; all arrays (B, K)."""
+def _clear_bins(echo, least, body_id, share, elevation_rad, incidence_rad, true_range_m):
+    """Set labels to those of bins without echo where the share of the echo is less than the least; all arrays (B, K).
+
+    least : of one entry where it is the same in all bins
+    """
     nothing, unknown = np.float32(0.0), np.float32(np.nan)
+    cleared, is_one = np.zeros(BLOCK_BINS, np.bool_), least.size == 1
     for b in range(uint64(share.shape[0])):
         for k0 in range(0, share.shape[1], BLOCK_BINS):
-            first, past = uint64(k0), uint64(min(k0 + BLOCK_BINS, share.shape[1]))
+            first, n = uint64(k0), uint64(min(BLOCK_BINS, share.shape[1] - k0))
+            if is_one:
+                for k in range(n):
+                    cleared[k] = share[b, first + k] * echo[b, first + k] < least[0, 0]
+            else:
+                for k in range(n):
+                    cleared[k] = share[b, first + k] * echo[b, first + k] < least[b, first + k]
             # most bins that are to be cleared have no echo, and need nothing
             is_any = False
-            for k in range(first, past):  # without branches, so that the compiler can vectorise it
-                is_any |= is_cleared[b, k] & (share[b, k] != nothing)
+            for k in range(n):  # without branches, so that the compiler can vectorise it
+                is_any |= cleared[k] & (elevation_rad[b, first + k] == elevation_rad[b, first + k])
             if not is_any:
                 continue
-            for k in range(first, past):
-                body_id[b, k] = np.uint16(0) if is_cleared[b, k] else body_id[b, k]
-                share[b, k] = nothing if is_cleared[b, k] else share[b, k]
-                elevation_rad[b, k] = unknown if is_cleared[b, k] else elevation_rad[b, k]
-                incidence_rad[b, k] = unknown if is_cleared[b, k] else incidence_rad[b, k]
-                true_range_m[b, k] = unknown if is_cleared[b, k] else true_range_m[b, k]
+            for k in range(n):
+                at = first + k
+                body_id[b, at] = np.uint16(0) if cleared[k] else body_id[b, at]
+                share[b, at] = nothing if cleared[k] else share[b, at]
+                elevation_rad[b, at] = unknown if cleared[k] else elevation_rad[b, at]
+                incidence_rad[b, at] = unknown if cleared[k] else incidence_rad[b, at]
+                true_range_m[b, at] = unknown if cleared[k] else true_range_m[b, at]
 
 
 class LabelColumns(NamedTuple):
@@ -288,6 +315,7 @@ class Labeller:
         gain: np.ndarray,
         n_bodies: int,
         body_bins: np.ndarray,
+        direct: np.ndarray,
         is_background: np.ndarray | None = None,
         unshadowed: np.ndarray | None = None,
     ) -> Labels:
@@ -299,6 +327,7 @@ class Labeller:
         gain : (K,) float32
         n_bodies : the highest number of a body
         body_bins : of `bins_of_bodies`
+        direct : (B, K) float32, all direct echo with the gain; of no length where it is the runs' alone
         is_background : (n_bodies + 1,) bool by number, or None for no shadow
         unshadowed : (B, K) echo of the background alone, without the gain
         """
@@ -321,6 +350,8 @@ class Labeller:
                 self._middle_m,
                 mask,
                 body_bins,
+                direct,
+                gain,
                 tuple(strongest),
             )
 

@@ -37,7 +37,7 @@ HELP = {
     "formats": "File format; may be repeated. gif and mp4 need --poses.",
     "fps": "Frames per second of gif (100 at most) and mp4 (120), whatever the times of the poses.",
     "labels": "Add labels to the NPZ: the body with the strongest echo in each bin, and its elevation.",
-    "label_level": "Label bins of at least this mean echo, dB, whatever the noise; needs --labels.",
+    "label_level": "Label bins where a body's mean echo is at least this, dB, whatever the noise; needs --labels.",
     "resource_path": "Folder to search for model:// and package:// URIs; may be repeated.",
     "skip_missing": "Leave out models and meshes that are not found or cannot be read, and unknown shapes, with a "
     "warning. Files that a xacro file includes are still needed.",

@@ -13,7 +13,7 @@ import numpy as np
 from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
 from sonar_gl.beamform.beamformer import BeamEcho, BodySums, ShadowedBackground
-from sonar_gl.beamform.labels import Labels, without_faint, without_weaker
+from sonar_gl.beamform.labels import Labels, of_all_echo, without_faint, without_weaker
 from sonar_gl.beamform.surface_reverberation import sum_surface
 from sonar_gl.beamform.volume import sum_volume
 from sonar_gl.beamform.water_surface import water_surface
@@ -104,9 +104,9 @@ def assemble(
     Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`). The thread helps with the
     matched filter and the noise.
     """
-    request = received.drawn.setup.request
+    request, found = received.drawn.setup.request, labels_of_all_echo(received)
     powers = filtered_powers(received, thread)
-    labels, label_level_db = shown_labels(instrument, received, powers["intensity"])
+    labels, label_level_db = shown_labels(instrument, received.drawn.setup, found, powers["intensity"])
     for array in (*powers.values(), *labels.values()):
         if array is not None:
             array.setflags(write=False)
@@ -281,6 +281,15 @@ def shadowed_background(drawn: DrawnPing) -> ShadowedBackground | None:
     return ShadowedBackground(drawn.setup.background, background)
 
 
+def labels_of_all_echo(received: ReceivedPing) -> Labels | None:
+    """Return the labels of a ping with shares of all echo; None without labels. Before the echoes are added up."""
+    labels, others = received.labels, (received.multipath, received.volume, received.surface)
+    more = [echo.intensity for echo in others if echo is not None and echo.total]
+    if labels is None or not more:
+        return labels
+    return of_all_echo(labels, received.direct.intensity, sum(more[1:], more[0]))
+
+
 def filtered_powers(received: ReceivedPing, thread: SecondThread) -> dict[str, np.ndarray | None]:
     """Return the powers of a ping behind the matched filter, by the fields of `Ping` that they are.
 
@@ -304,21 +313,23 @@ def filtered_powers(received: ReceivedPing, thread: SecondThread) -> dict[str, n
 
 
 def shown_labels(
-    instrument: Instrument, received: ReceivedPing, intensity: np.ndarray
+    instrument: Instrument, setup: PingSetup, labels: Labels | None, intensity: np.ndarray
 ) -> tuple[dict[str, np.ndarray], float | None]:
-    """Return the labels of a ping by the fields of `Ping`, and the level of the faintest bin that has one, dB.
+    """Return the labels of a ping by the fields of `Ping`, and the level of the faintest echo that has one, dB.
 
-    Nothing, and None, without labels. By the mean echo: they do not depend on the noise's seed.
+    Nothing, and None, without labels. By mean echoes: they do not depend on the noise's seed.
 
+    Parameters
+    ----------
+    labels : with shares of all echo, or None; its arrays are overwritten
     intensity : (B, K) behind the matched filter
     """
-    if received.labels is None:
+    if labels is None:
         return {}, None
-    setup = received.drawn.setup
     label_level_db = setup.request.label_level_db
     if label_level_db is None:
         label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
-    found = without_faint(received.labels, intensity, 10 ** (label_level_db / 10))
+    found = without_faint(labels, intensity, 10 ** (label_level_db / 10))
     level = setup.acoustics.pulse_level(instrument.sonar)  # as the intensity has it
     return vars(replace(found, body_echo=found.body_echo * level)), label_level_db
 
@@ -369,4 +380,11 @@ def with_cross_talk(ping: Ping) -> Ping:
     if not ping.acoustics.cross_talk or sonar.cross_talk_db is None:
         return ping
     leak = partial(leak_between_beams, level_db=sonar.cross_talk_db, spacing=sonar.cross_talk_beams)
-    return replace(ping, **changed_powers(ping, leak))
+    leaky = replace(ping, **changed_powers(ping, leak))
+    if ping.share is None:
+        return leaky
+    # what other beams leak over a body is no echo of it
+    before, after = ping.intensity, leaky.intensity
+    share = ping.share * np.divide(before, after, out=np.ones_like(after), where=after > before)
+    share.setflags(write=False)
+    return replace(leaky, share=share)

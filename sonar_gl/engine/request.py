@@ -39,8 +39,8 @@ class PingRequest:
     water : Water of this ping; or None for that of the acoustics
     noise_parts : find what specular lobes return, and textures, by themselves, for speckle that is added later
     alone : choose the samples for a tolerance from this ping alone, whatever pings came before or were planned
-    label_level_db : with labels, the level of a bin's mean echo, dB, from which on the bin is labelled; None for what
-        the display of the sonar shows, above the noise
+    label_level_db : with labels, the level of a body's mean echo in a bin, dB, from which on it is labelled; None for
+        what the display of the sonar shows, above the noise
     labels_above_noise : also with a `label_level_db`, noise that is added takes the labels of bins that it hides
 
     Raises

@@ -1,4 +1,4 @@
-"""Labels that noise hides: those of bins in which the receiver's noise is stronger than the echo, in the mean."""
+"""Labels that noise hides: those of bins whose body has a weaker echo than the receiver's noise, in the mean."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ COMPILED_FOR = np.uint16, np.float32  # the types of a ping's labels; NumPy take
 
 
 def without_hidden_labels(ping: Ping, power: np.ndarray | None) -> Ping:
-    """Return the ping without the labels of bins whose mean echo is weaker than the receiver's noise.
+    """Return the ping without the labels of bins in which the body's mean echo is weaker than the receiver's noise.
 
-    Shadows and sums of bodies stay. The mean power decides, whatever the noise of a ping is: labels do not depend on
-    its seed.
+    Shadows and sums of bodies stay. The echo of a body is its share of the bin's, or all of it where shares are not
+    known. The mean power decides, whatever the noise of a ping is: labels do not depend on its seed.
 
     Parameters
     ----------
@@ -32,7 +32,8 @@ def without_hidden_labels(ping: Ping, power: np.ndarray | None) -> Ping:
     """
     if power is None or not ping.meta.get("labels_above_noise") or "noise" in ping.meta:
         return ping
-    is_hidden = ping.intensity < power
+    own = ping.intensity if ping.share is None else ping.share * ping.intensity
+    is_hidden = own < power
     if not is_hidden.any():
         return ping
     arrays = {name: getattr(ping, name) for name in BIN_LABELS if name != "shadow"}

@@ -22,7 +22,8 @@ def add_noise(
 ) -> Ping:
     """Return the ping with noise, and with a record of it in `meta`.
 
-    Labels go where the mean noise of the receiver is stronger than the mean echo, as `without_hidden_labels` says.
+    Labels go where the mean noise of the receiver is stronger than the mean echo of the body, as
+    `without_hidden_labels` says.
 
     Parameters
     ----------

@@ -63,6 +63,27 @@ def test_the_ping_of_a_ball_has_copies_in_its_sets_and_labels_and_energy_as_with
     assert ping.body_echo.sum() == pytest.approx(ping.intensity.sum(dtype=np.float64), rel=1e-4)
 
 
+def test_what_leaks_over_a_body_is_no_echo_of_it():
+    """A faint ball, in a beam of the set in which a bright one lies, at its range."""
+    aside = sg.pose(3.0 * np.cos(SONAR.azimuth_rad[32]), 3.0 * np.sin(SONAR.azimuth_rad[32]), 0.0)
+    ahead = sg.pose(3.0 * np.cos(SONAR.azimuth_rad[24]), 3.0 * np.sin(SONAR.azimuth_rad[24]), 0.0)
+    mesh, pings = trimesh.creation.icosphere(3, 0.1), []
+    scene = sg.Scene([sg.Body("bright", mesh, ahead, 0.9), sg.Body("faint", mesh, aside, 1e-4)])
+    for is_on in (False, True):
+        acoustics = replace(sg.Acoustics.ideal(), cross_talk=is_on)
+        with sg.Simulator(scene, SONAR, acoustics, tolerance=0.05) as simulator:
+            pings.append(simulator.ping(np.eye(4), labels=True, label_level_db=-180.0))
+    plain, leaky = pings
+    np.testing.assert_array_equal(leaky.body_id, plain.body_id)
+    own, lifted = (
+        plain.share * plain.intensity,
+        (plain.body_id == 2) & (leaky.intensity > 10 * plain.intensity),
+    )
+    assert lifted.any()
+    # a beam keeps at least 0.94 of its echo
+    np.testing.assert_allclose((leaky.share * leaky.intensity)[lifted], own[lifted], rtol=0.06)
+
+
 def test_it_is_off_without_a_level_and_by_profile():
     level = replace(SONAR, cross_talk_db=None)
     np.testing.assert_array_equal(

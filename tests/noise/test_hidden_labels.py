@@ -21,12 +21,16 @@ LEVEL = 1e-3
 
 
 def labelled_ping(n_beams=16, n_bins=256, meta=DEFAULT_LEVEL, **settings) -> Ping:
-    """Return a ping whose mean echo rises from bin to bin from 1e-5 to 1, the same in each beam; all have labels."""
+    """Return a ping whose mean echo rises from bin to bin from 1e-5 to 1, the same in each beam, of one body each."""
     settings = {"self_noise_db": 10 * math.log10(LEVEL)} | settings
     ping, random = even_ping(n_beams, n_bins, pose=HERE, **settings), np.random.default_rng(1)
     shape = ping.intensity.shape
     labels = {name: random.random(shape, np.float32) for name in PER_BIN}
-    labels |= {"body_id": random.integers(1, 4, shape, np.uint16), "shadow": random.random(shape) < 0.5}
+    labels |= {
+        "share": np.ones(shape, np.float32),
+        "body_id": random.integers(1, 4, shape, np.uint16),
+        "shadow": random.random(shape) < 0.5,
+    }
     intensity = np.repeat(np.geomspace(1e-5, 1.0, n_bins, dtype=np.float32)[None], n_beams, 0)
     arrays = {"intensity": intensity, "body_echo": np.arange(4.0), **labels}
     for array in arrays.values():
@@ -135,6 +139,16 @@ def test_noise_that_no_receiver_adds_hides_no_labels(noise):
     assert receiver_power(ping, noise) is None and (found.intensity != ping.intensity).any()
     assert all(getattr(found, name) is getattr(ping, name) for name in BIN_LABELS)
     assert add_noise(ping, sg.Noise(), 1) is ping and add_noise(ping, None, 1) is ping
+
+
+def test_the_echo_of_the_body_alone_counts():
+    """What others return in its bin, by far side lobes or multipath, does not lift it above the noise."""
+    ping = labelled_ping()
+    share = np.full_like(ping.share, 0.25)
+    found = add_noise(replace(ping, share=share), SELF_NOISE, 1)
+    is_above = 0.25 * ping.intensity >= receiver_power(ping, SELF_NOISE)
+    assert 0 < is_above.sum() < (add_noise(ping, SELF_NOISE, 1).body_id > 0).sum()
+    np.testing.assert_array_equal(found.body_id, np.where(is_above, ping.body_id, 0))
 
 
 @pytest.mark.parametrize("meta", [{}, {"label_level_db": -40.0}, {"labels_above_noise": False}])

@@ -23,7 +23,7 @@ FAINTEST = np.float32(1e-37)
 class StrongestEcho(NamedTuple):
     """What is known of the strongest body's echo in each bin: (B, K) arrays, overwritten.
 
-    share : float32, of all echo in the bin; body_id : uint16
+    share : float32, of all direct echo in the bin; body_id : uint16
     background : float32, the echo of background bodies; of no length if it is not wanted
     means : (3, B, K) float32: mean elevation and incidence, radians, and range, metres
     """
@@ -48,7 +48,7 @@ class Panel(NamedTuple):
 
 
 @compiled
-def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_bins, strongest):
+def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_bins, direct, gain, strongest):
     """Find in each bin of some beams the body with the strongest echo, and what is known of that echo.
 
     Parameters
@@ -59,6 +59,8 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_b
     middle_m : (K,) float32, of BinTable
     is_background : (numbers,) bool
     body_bins : (numbers, 2) int64, first bin in which a body may be and past the last; of no length if not known
+    direct : (B, K) float32, direct echo with the gain; of no length where runs hold all of it
+    gain : (K,) float32
     """
     runs, tiles, strongest = Runs(*runs), BeamTiles(*tiles), StrongestEcho(*strongest)
     B, K = strongest.share.shape
@@ -107,7 +109,9 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_b
             if is_first:
                 best[:], total[:], body_id[:] = 0.0, 0.0, 0
             for b in range(b0, b1):
-                _write_strongest(best, total, body_id, b - b0, middle_m, b, k0, n_bins, strongest)
+                _write_strongest(
+                    best, total, body_id, b - b0, middle_m, b, k0, n_bins, direct, gain, strongest
+                )
 
 
 @inlined
@@ -227,10 +231,13 @@ def _clear_outside(rows, body_bins, body, k0):
 
 
 @inlined
-def _write_strongest(best, total, body_id, r, middle_m, b, k0, n, strongest):
-    """Write what is known of the strongest echo in a block of a beam's bins; `best` is overwritten."""
+def _write_strongest(best, total, body_id, r, middle_m, b, k0, n, direct, gain, strongest):
+    """Write what is known of the strongest echo in a block of a beam's bins; `best` and `total` are overwritten."""
     at, bins, b, k0 = uint64(r * TILE_ROW), uint64(r * TILE_BINS), uint64(b), uint64(k0)
     share, means, whole, nothing = strongest.share, strongest.means, np.float32(1.0), np.float32(0.0)
+    if direct.shape[0] > 0:
+        for k in range(uint64(n)):  # joined columns may give more of a faint echo than there is
+            total[bins + k] = max(total[bins + k], direct[b, k0 + k] / gain[k0 + k])
     for k in range(uint64(n)):
         share[b, k0 + k] = min(best[at + k] / total[bins + k], whole) if best[at + k] > FAINTEST else nothing
     for k in range(uint64(n)):
