@@ -19,7 +19,6 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
 from sonar_gl.core.errors import Error
-from sonar_gl.core.machine_code import ResultOnDisk
 from sonar_gl.core.warn import warn_caller
 
 if config.DISABLE_JIT:  # intrinsics have no other form, and a ping would take minutes
@@ -125,8 +124,6 @@ def _hash_of_content(states: tuple) -> str:
 
 class _FilesOfFunction(FunctionCache):
     """The files of a function's machine code, which Numba takes for outdated after a change of its sources."""
-
-    _impl_class = ResultOnDisk
 
     def __init__(self, py_func):
         super().__init__(py_func)

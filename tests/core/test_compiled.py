@@ -12,7 +12,6 @@ import pytest
 from sonar_gl.core import compiled as module
 from sonar_gl.core.compiled import announce_compilation, as_table, compiled, reason_not_kept, sources_of
 from sonar_gl.core.errors import Error
-from sonar_gl.core.machine_code import KeptLibrary
 from tests.support.processes import HOME, python
 
 
@@ -34,22 +33,6 @@ def test_only_kernels_of_this_package_are_announced(module, is_announced, capsys
     assert numba.njit(add)(1) == 2
     announce_compilation(False)
     assert capsys.readouterr().err.startswith("sonar_gl: compiling numerical kernels") == is_announced
-
-
-def test_a_function_that_was_read_from_disk_is_called_by_one_that_is_compiled_later(tmp_path, monkeypatch):
-    """It is read without what the compiler needs of it, which takes longer than all else."""
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    assert kept_function()(1) == 2
-    add = kept_function()
-    assert add(1) == 2 and dict(add.stats.cache_misses) == {}
-    (result,) = add.overloads.values()
-    assert type(result.library) is KeptLibrary
-
-    @numba.njit
-    def add_twice(x):
-        return add(add(x))
-
-    assert (add_twice(1), add_twice(0.5), add(1)) == (3, 2.5, 2)
 
 
 @pytest.mark.parametrize("is_kept", [True, False])
