@@ -3,7 +3,8 @@
 A ping is compared with one of COARSER times fewer samples. The difference of the two decreases as the error does, and
 ERROR_FACTOR times the error that it shows nearly always exceeds the error. The relative error of a small body's echo is
 modelled by its samples (`body_error`), and is at least what the difference of that body's echo between the two pings
-shows. These constants, and the rates at which errors decrease, were fitted to random worlds (`tools/promise.py`).
+shows. What the fan's strips take of a body beyond the echo of its samples may err alike in both pings: it is added. The
+constants, and the rates at which errors decrease, were fitted to random worlds (`tools/promise.py`).
 """
 
 from __future__ import annotations
@@ -165,7 +166,11 @@ class ErrorModel:
         # bodies of one reflectivity err along their outlines, which the number of samples tells of.
         shares = extents.glint_shares
         counts = BodyCounts(
-            found.samples * shares, found.echo, found.unevenness * extents.by_face, found.strands * shares
+            found.samples * shares,
+            found.echo,
+            found.of_strips,
+            found.unevenness * extents.by_face,
+            found.strands * shares,
         )
         return TriedView(stage, view, echo, counts)
 
@@ -190,13 +195,15 @@ class ErrorModel:
         return Judgement(Plan(stage.sampling, level, *estimates, steps <= 0, stage.fan.n_samples), steps)
 
     def _whole_error(self, tried: TriedView, before: TriedView, coarser: float) -> ErrorEstimate:
-        """Estimate the share of the echo in wrong bins, by how the two lattices differ.
+        """Estimate the share of the echo in wrong bins: by how the two lattices differ, and by what strips add to both.
 
         coarser : how many times as many samples `tried` has as `before`
         """
         if tried.echo.total <= 0:
             return ErrorEstimate(0.0, 0.0)  # nothing to judge by, and coarser samples would tell no more
-        error = wrong_share(tried.echo, before.echo, coarser)
+        counts = tried.counts
+        of_strips = float(np.abs(counts.of_strips - counts.echo).sum() / max(counts.echo.sum(), 1e-30))
+        error = wrong_share(tried.echo, before.echo, coarser) + of_strips
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
         return ErrorEstimate(error, steps)
 
@@ -205,16 +212,17 @@ class ErrorModel:
     ) -> ErrorEstimate:
         """Estimate the error of each body's own echo, and return the largest; `coarser` as of `_whole_error`.
 
-        By the samples that met it, and by how the two lattices differ.
+        By the samples that met it, by how the two lattices differ, and by what strips take beyond the samples.
         """
-        hits, echo, unevenness, strands = tried.counts
+        hits, echo, of_strips, unevenness, strands = tried.counts
         counts = self._counting_bodies(setup, tried)
         factor = DIFFERENCE_FACTOR * share_of_difference(coarser, BODY_ERROR_RATE)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
         apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)
         uneven = UNEVEN_FACTOR * unevenness / np.maximum(echo, 1e-30)
         shown = np.minimum(np.maximum(apart, uneven), 1.0)
-        errors = np.maximum(body_error(np.maximum(hits, 1.0), strands), shown) * counts
+        errors = np.maximum(body_error(np.maximum(hits, 1.0), strands), shown)
+        errors = np.hypot(errors, np.abs(of_strips - echo) / np.maximum(echo, 1e-30)) * counts
         if not counts.any():
             return ErrorEstimate(0.0, -math.inf)
         worst = int(errors.argmax())

@@ -86,33 +86,54 @@ class BodyCounts(NamedTuple):
     echo : about the sum of its echo with the gain
     unevenness : how uncertain that sum is because neighbouring samples of the body return unlike echoes: its standard
         deviation, were they met at random
+    of_strips : that sum as the fan's strips take it. Each takes the nearest sample of a row, so that those not as wide
+        as a sample take too much or too little of what is thin and upright, in all rows alike
     strands : how many runs of neighbouring samples on it there are, along rows or across them, whichever are fewer;
         0 in sectors where these are long, or all lie along one line
     """
 
     samples: np.ndarray
     echo: np.ndarray
+    of_strips: np.ndarray
     unevenness: np.ndarray
     strands: np.ndarray
 
 
 @compiled
 def _count_samples(
-    samples, lattice, sines, widest, received_u, bins, gain, elevation_table, counts, echo, unlike, places
+    samples,
+    lattice,
+    strips,
+    sines,
+    widest,
+    received_u,
+    bins,
+    gain,
+    elevation_table,
+    counts,
+    echo,
+    of_strips,
+    unlike,
+    places,
 ):
     """Add the samples of one sector to (bodies + 1,) counts and sums of μ cos θ ΔΩ G.
 
     samples : (plane_echo, body_id) of `SectorSamples`, in `whole_rows`; lattice : of `SectorSamples`
+    strips : of `_upright_strips`
     sines : of `Strips`: beyond them no beam receives, in sectors whose beams are cones
     widest : |u| beyond which samples only fill sheared rows
     received_u : of `Beamformer`
     bins : (2,) start of the first bin, metres, and bins per metre
     elevation_table : of `Beamformer`, taken at the nearest sine
+    of_strips : (bodies + 1,), filled with the sums that the strips take of these samples
     unlike : (2, bodies + 1), filled with the squared differences of neighbours on one body, along rows and across
     places : (bodies + 1, 8), filled with the sums N..JJ
     """
     plane_echo, body_id = samples
     (u, v, tan_low, tan_high, columns, sine, cosine), (r_first, per_metre) = lattice, bins
+    (middles, ends), n_strips, half = strips, len(strips[0]), u[1] / 2
+    # the outermost strips may take samples beyond them
+    reach = widest + (half if n_strips else 0.0)
     per_sine = (elevation_table.shape[0] - 1) / 2
     K = gain.shape[0]
     area = u[1] * v[2] - u[2] * v[1]
@@ -121,6 +142,7 @@ def _count_samples(
     above, body_above = np.zeros(columns), np.zeros(columns, np.uint16)
     for j in range(plane_echo.shape[0]):
         beside, body_beside = 0.0, 0
+        before, past = 0, 0  # of the strips to which the sample is the nearest one of its row
         for i in range(columns):
             body_over, over = body_above[i], above[i]
             body_left, body_beside, body_above[i] = body_beside, 0, 0
@@ -129,7 +151,7 @@ def _count_samples(
                 continue
             uc, vc = u[0] + u[1] * i + u[2] * j, v[0] + v[1] * i + v[2] * j
             v2, u2 = vc * abs(vc), 1.0 + uc * uc
-            if abs(uc) > widest or v2 > high2 * u2 or v2 < low2 * u2:
+            if abs(uc) > reach or v2 > high2 * u2 or v2 < low2 * u2:
                 continue
             if len(received_u) and np.searchsorted(received_u, uc) % 2 == 0:
                 continue  # between two beams
@@ -145,6 +167,16 @@ def _count_samples(
                 pattern = elevation_table[place] if elevation_table.shape[0] else 1.0
                 body = body_id[j, i]
                 returned = plane_echo[j, i, 3] * q * area * per_L2 * per_L2 * gain[int(k)] * pattern
+                if n_strips:
+                    while past < n_strips and middles[past] <= uc + half:
+                        past += 1
+                    while before < n_strips and middles[before] <= uc - half:
+                        before += 1
+                    of_strips[body] += returned * (ends[past] - ends[before]) / u[1]
+                    if abs(uc) > widest:
+                        continue
+                else:
+                    of_strips[body] += returned
                 counts[body] += 1.0
                 echo[body] += returned
                 if body == body_left:
@@ -166,7 +198,8 @@ def _count_samples(
 
 def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Reception) -> BodyCounts:
     """Count the samples on each body, and about the echo of each."""
-    counts, echo, unlike = np.zeros(n_bodies + 1), np.zeros(n_bodies + 1), np.zeros((2, n_bodies + 1))
+    counts, echo, of_strips = np.zeros((3, n_bodies + 1))
+    unlike = np.zeros((2, n_bodies + 1))
     bins = reception.sonar.range_min_m, 1.0 / reception.sonar.bin_size_m
     gains = reception.gain, reception.elevation_table
     places = np.zeros((len(samples), n_bodies + 1, JJ + 1))
@@ -175,9 +208,23 @@ def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Rec
             continue
         arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
         limits = one.sector.strips.sines, math.tan(one.sector.half_width_rad), received
-        _count_samples(arrays, one.lattice, *limits, bins, *gains, counts, echo, unlike, of_sector)
+        sums = counts, echo, of_strips, unlike, of_sector
+        _count_samples(
+            arrays, one.lattice, _upright_strips(one.sector, received), *limits, bins, *gains, *sums
+        )
     # half the mean square of the differences of two is their variance; stripes show across them alone
-    return BodyCounts(counts, echo, np.sqrt(unlike.max(axis=0) / 2), _strands(places).sum(axis=0))
+    return BodyCounts(counts, echo, of_strips, np.sqrt(unlike.max(axis=0) / 2), _strands(places).sum(axis=0))
+
+
+def _upright_strips(sector: Sector, received) -> tuple[np.ndarray, np.ndarray]:
+    """Return the u of the middles of a sector's strips, (P,) and rising, and (P + 1,) where they end, the first at 0.
+
+    Of no length where what they take of a sample is not known: cones, and boxes with gaps between them, in which no
+    strip counts.
+    """
+    if sector.strips.are_cones or len(received):
+        return np.empty(0), np.empty(0)
+    return sector.strips.middle[::-1].copy(), np.append(0.0, np.cumsum(sector.strips.width[::-1]))
 
 
 def _strands(places) -> np.ndarray:

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.analysis.verify import ping_error
+from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import error_model, visibility
@@ -32,7 +32,7 @@ from sonar_gl.engine.visibility import (
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
-from sonar_gl.sonar.sampling import ToleranceWarning, sampling_at, typical_level
+from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning, sampling_at, typical_level
 from sonar_gl.sonar.sector import SHEAR
 from tests.support.estimates import record_estimates
 from tests.support.interrupts import Interrupter
@@ -501,6 +501,81 @@ def test_strands_are_the_runs_of_samples_on_a_body_of_many_thin_parts(is_met, st
     found = count_bodies(samples, 1, reception)
     assert found.samples[1] == is_on.sum()
     assert found.strands.tolist() == [0, strands]
+
+
+@pytest.mark.parametrize(
+    "columns_per_beam", [2.0, 2.6, 0.7], ids=["as wide", "narrower", "columns finer than samples"]
+)
+def test_the_echo_of_strips_is_what_the_nearest_samples_of_upright_rods_give_them(columns_per_beam):
+    """Of rods all over the fan, strip by strip; together they have the echo of the samples."""
+    fan = make_fan(SONAR, sg.Sampling(columns_per_beam, 60), BeamShape(0.0))
+    (sector,) = fan.sectors
+    u, v = sector.sample_coordinates()
+    place = np.floor((u - u.min()) / (0.3 * sector.u[1])).astype(int)
+    q = np.sqrt(1 + u * u + v * v) / 5
+    plane_echo = np.stack([q, 0 * q, 0 * q, np.ones_like(q)], axis=-1).astype(np.float32)
+    samples = [SectorSamples(sector, plane_echo, (1 + place).astype(np.uint16))]
+    gain = np.ones(SONAR.n_bins, np.float32)
+    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, np.empty(0), [np.empty(0)])
+    found, n_bodies = count_bodies(samples, place.max() + 1, reception), place.max() + 2
+    expected, rows = np.zeros(n_bodies), np.arange(sector.rows)
+    of_area = (1 + u * u + v * v) ** -1.5  # steradians per du dv
+    for middle, width in zip(sector.strips.middle, sector.strips.width, strict=True):
+        nearest = np.abs(u - middle).argmin(axis=1)
+        holds = sector.holds_elevation(u[rows, nearest], v[rows, nearest])
+        np.add.at(expected, 1 + place[rows, nearest], holds * of_area[rows, nearest] * width)
+    is_seen = found.echo > 0
+    scale = expected.sum() / found.of_strips.sum()
+    np.testing.assert_allclose(
+        found.of_strips[is_seen] * scale, expected[is_seen], rtol=1e-3, atol=1e-3 * expected.max()
+    )
+    assert found.of_strips.sum() == pytest.approx(found.echo.sum(), rel=0.01)
+    apart = np.abs(found.of_strips - found.echo)[is_seen] / found.echo[is_seen]
+    assert np.median(apart) < 0.05 if columns_per_beam == 2.0 else np.median(apart) > 0.1
+
+
+def upright_poles(rng):
+    """Return four poles before a wall: each thinner than a sample, in front of the same strips in all rows."""
+    poles = [
+        sg.Body(
+            f"pole {k}",
+            trimesh.creation.cylinder(10 ** rng.uniform(-2.3, -1.3), 4, sections=16),
+            sg.pose(rng.uniform(4, 16), rng.uniform(-2, 2), 0),
+        )
+        for k in range(4)
+    ]
+    return [*poles, sg.Body("wall", trimesh.creation.box((1, 40, 40)), sg.pose(18.5), rng.uniform(0.01, 0.3))]
+
+
+def plate_edge_on(rng):
+    """Return a plate seen edge-on above a dark floor: its edge is bright, and thinner than a sample."""
+    place = sg.pose(rng.uniform(5, 14), rng.uniform(-2, 2), 0, 0, 0, rng.uniform(-0.2, 0.2))
+    floor = sg.Body("floor", trimesh.creation.box((200, 200, 1)), sg.pose(0, 0, -2.5), 0.05)
+    return [sg.Body("plate", trimesh.creation.box((4, 0.01, 3)), place, 0.7), floor]
+
+
+@pytest.mark.parametrize(
+    ("bodies", "seed"),
+    [
+        (upright_poles, [32, 7, ord("u")]),
+        (upright_poles, [38, 7, ord("u")]),
+        (upright_poles, [50, 7, ord("u")]),
+        (plate_edge_on, [2, 4, ord("e")]),
+        (plate_edge_on, [7, 4, ord("e")]),
+        (plate_edge_on, [16, 4, ord("e")]),
+    ],
+    ids=["poles 32", "poles 38", "poles 50", "plate 2", "plate 7", "plate 16"],
+)
+def test_the_promise_counts_what_strips_take_of_thin_upright_parts(bodies, seed):
+    """Both lattices may show the same echo of the samples, of which the strips take too little, by up to a third."""
+    scene, tolerance = sg.Scene(bodies(np.random.default_rng(seed))), 0.02
+    sonar, acoustics = sg.Sonar("thin", 900e3, 128, 400, 60.0, 20.0, 1.0, 0.5, 20.0), sg.Acoustics.physical()
+    with sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as simulator:
+        ping = simulator.ping(np.eye(4), labels=True)
+    with sg.Simulator(scene, sonar, acoustics, sg.Sampling(16, 705)) as simulator:
+        truth = simulator.ping(np.eye(4), labels=True)
+    assert ping_error(ping, truth) <= tolerance
+    assert worst_body(ping, truth)[0] <= WORST_BODY * tolerance
 
 
 def with_gaps(rod_deg, range_m, *more):
