@@ -260,7 +260,7 @@ def test_numbers_of_pings_are_gathered_whatever_blocks_they_go_through(
 ):
     """From the tables of parts to the store, whose numbers a second try replaces."""
     monkeypatch.setattr(store, "TABLE_CHUNK_PINGS", block_pings)
-    monkeypatch.setattr(store, "ping_variables", _times_alone)
+    monkeypatch.setattr(store, "ping_variables", _poses_alone)
     folder, table, manifest = Folder(tmp_path), PingTable(varied), Manifest({}, "", 22, 3, None, {})
     rows = np.array([table.row(request) for request in varied])
     create_arrays(
@@ -270,11 +270,11 @@ def test_numbers_of_pings_are_gathered_whatever_blocks_they_go_through(
         folder.put(table_name(part), rows_to_bytes(rows[manifest.numbers(part)]))
     for _ in range(2):
         gather_ping_variables(varied, table, manifest, folder)
-    for sonar in varied.sonars:
-        array = zarr.open_array(tmp_path / "pings.zarr" / sonar / "time_s")
-        assert array[:].tolist() == [request.time_s for request in varied]
-        assert array.chunks == (min(block_pings, 22),)
+    for sonar, mount in varied.mounts.items():
+        array = zarr.open_array(tmp_path / "pings.zarr" / sonar / "pose")
+        np.testing.assert_array_equal(array[:], [request.vehicle_pose @ mount for request in varied])
+        assert array.chunks == (min(block_pings, 22), 4, 4)
 
 
-def _times_alone(requests, table, sonar):
-    return [one for one in ping_variables(requests, table, sonar) if one.name == "time_s"]
+def _poses_alone(requests, table, sonar):
+    return [one for one in ping_variables(requests, table, sonar) if one.name == "pose"]

@@ -5,7 +5,6 @@ import gc
 import math
 import os
 import pickle
-import re
 import subprocess
 import sys
 import threading
@@ -442,18 +441,23 @@ def test_a_surface_too_far_to_be_drawn_is_named_with_its_distance(azimuth_fov_de
 
 
 @pytest.mark.parametrize("azimuth_fov_deg", [90.0, 180.0, 360.0])
-@pytest.mark.parametrize("side", [1, -1])
-def test_a_far_surface_near_a_corner_of_the_fan_is_in_it(azimuth_fov_deg, side):
-    """A planar upper end of the fan would lie lower there: of 90 degrees at 7 in place of 10."""
-    place = sg.pose(yaw=math.radians(0.47 * azimuth_fov_deg), pitch=side * math.radians(9.5))
+@pytest.mark.parametrize(
+    ("share", "elevation_deg", "is_in_fan"), [(0.49, 9.8, True), (0.49, 11, False), (0.25, -11, False)]
+)
+def test_a_far_surface_near_the_upper_end_of_the_fan_is_in_it_or_not(
+    azimuth_fov_deg, share, elevation_deg, is_in_fan
+):
+    """The end is a cone: a plane that meets it straight ahead at 10 degrees lies at 7 degrees, 45 degrees aside."""
+    place = sg.pose(yaw=math.radians(share * azimuth_fov_deg), pitch=-math.radians(elevation_deg))
     far = sg.Body("far", trimesh.creation.icosphere(1, 0.5), place @ sg.pose(400.5), 1.0)
-    sonar = replace(SONAR, azimuth_fov_deg=azimuth_fov_deg)
-    with simulator([far], sonar=sonar) as it, pytest.warns(UserWarning) as caught:
+    with (
+        simulator([far], sonar=replace(SONAR, azimuth_fov_deg=azimuth_fov_deg)) as it,
+        pytest.warns(UserWarning) as caught,
+    ):
         it.ping(sg.pose())
     (text,) = (str(w.message) for w in caught)
-    assert re.match(
-        "no echo came back: the nearest surface in the fan lies at 400.0. m, beyond range_max", text
-    )
+    assert ("the nearest surface in the fan lies at 400.0" in text) == is_in_fan
+    assert ("no surface lies in the fan; the nearest is 'far', 400.0" in text) == (not is_in_fan)
 
 
 def test_a_far_surface_beside_the_fan_is_in_its_direction():
