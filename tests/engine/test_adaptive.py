@@ -12,7 +12,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
-from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import error_model, visibility
 from sonar_gl.engine.flow import Plan
@@ -22,6 +22,7 @@ from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.visibility import (
+    BodyCounts,
     BodyExtents,
     Reception,
     count_bodies,
@@ -1087,6 +1088,62 @@ def test_the_error_by_the_number_of_samples_bounds_that_of_discs_and_squares(n, 
         errors.append(abs(met.sum() / n - 1))
     bound = visibility.body_error(float(n))
     assert bound / 3 < np.quantile(errors, 0.95) < bound
+
+
+# samples, unevenness and strands on a body of echo 1, its echo before, and the error that follows
+MANY = 900
+BY_NUMBER = 1.8 * (1 + 8 / MANY) / MANY**0.75  # of 900 samples
+SHOWN = 1.37 / math.sqrt(1 + 2**1.5)  # of a difference from half the samples
+JUDGED = {
+    "by the number of samples": (MANY, 0.0, 0.0, 1.0, BY_NUMBER),
+    "by few samples": (40, 0.0, 0.0, 1.0, 1.8 * 1.2 / 40**0.75),
+    "by the difference": (MANY, 0.0, 0.0, 0.9, 0.1 * SHOWN),
+    "by the difference, as well as it may": (MANY, 0.0, 0.0, 0.864, 0.136 * SHOWN),
+    "by the difference the other way": (MANY, 0.0, 0.0, 1.2, 0.2 * SHOWN),
+    "of so many samples the difference tells nothing": (1000, 0.0, 0.0, 0.5, 1.8 * 1.008 / 1000**0.75),
+    "by uneven samples": (MANY, 0.05, 0.0, 1.0, 0.075),
+    "by strands": (MANY, 0.0, 120.0, 1.0, 2 * BY_NUMBER),
+    "at most all": (MANY, 0.0, 0.0, 9.0, 1.0),
+}
+
+
+@pytest.mark.parametrize(
+    ("samples", "unevenness", "strands", "before", "error"), JUDGED.values(), ids=list(JUDGED)
+)
+def test_the_error_of_a_body_is_judged_by_what_its_samples_show(samples, unevenness, strands, before, error):
+    """As stated in numbers; a third body returns too little to count, whatever it errs."""
+    level, tolerance = 12, 0.02
+    bodies = [sg.Body(name, trimesh.creation.box((1, 1, 1)), sg.pose(5)) for name in "abc"]
+    with sg.Simulator(sg.Scene(bodies), SONAR, IDEAL, tolerance=tolerance) as simulator:
+        run = simulator.run
+        model, setup = run.sampler.search.model, run.set_up(PingRequest(np.eye(4)))
+        with run.drawing():
+            fine = model.draw(setup, level)
+            coarse = model.coarser_stage(fine.stage)
+        columns = np.array([0.0, 2000.0, samples, 9.0]), np.array([0.0, 5.0, 1.0, 0.0029])
+        of_fine = BodyCounts(*columns, np.array([0, 0, unevenness, 0.0]), np.array([0, 0, strands, 0.0]))
+        of_coarse = of_fine._replace(echo=np.array([0.0, 5.0, before, 0.01]))
+        echo = np.zeros_like(fine.echo.intensity)
+        echo[3, 5:9] = 1.0
+        other = echo.copy()
+        other[3, 5], other[4, 5] = 0.98, 0.02  # a hundredth of the echo lies elsewhere
+        tried = fine._replace(echo=BeamEcho(echo, 4.0), counts=of_fine)
+        judged = model.judge(
+            setup, level, tried, fine._replace(stage=coarse, echo=BeamEcho(other, 4.0), counts=of_coarse)
+        )
+        ratio = fine.stage.sampling.count(SONAR) / coarse.sampling.count(SONAR)
+    assert ratio == pytest.approx(2, rel=0.03)  # whole columns and rows
+    plan = judged.plan
+    assert plan.error_estimate == pytest.approx(1.86 * 0.01 / math.sqrt(1 + ratio**1.3), rel=1e-6)
+    assert plan.worst_body_estimate == pytest.approx(error, rel=0.01)
+    assert plan.worst_body == 2
+    # widths of samples that would do: the errors fall as these to the power 1.3, and as the samples to the power 0.75
+    narrower = max(
+        (plan.error_estimate / tolerance) ** (1 / 1.3),
+        (plan.worst_body_estimate / (5 * tolerance)) ** (0.5 / 0.75),
+    )
+    assert judged.steps == min(math.ceil(4 * math.log2(narrower)), 8)
+    assert plan.met == (judged.steps <= 0)
 
 
 def test_the_bound_of_a_plan_is_above_the_tolerance_if_it_is_not_met():

@@ -147,11 +147,11 @@ def test_faint_bins_at_the_ends_of_a_body_do_not_decide_its_box():
 
 @pytest.mark.parametrize(("n_bins", "is_left_out"), [(200, True), (199, False)])
 def test_an_end_of_exactly_half_a_per_cent_is_left_out(n_bins, is_left_out):
-    """Of bins that are equally bright one lies apart, at the lower or at the upper ends of beams and range."""
-    for apart in ((3, 2), (55, 70)):
+    """Of bins that are equally bright one lies apart, at either end of beams or range."""
+    for apart in ((3, 45), (55, 45), (25, 2), (25, 70)):
         body_id = np.zeros((60, 80), np.uint16)
         body_id[20:30, 30:50] = 1
-        body_id[25, 40 : 241 - n_bins] = 0  # in the middle
+        body_id[22, 40 : 241 - n_bins] = 0  # in the middle
         body_id[apart] = 1
         boxes = boxes_of(labelled(body_id), 300)
         (beams,), (bins,) = boxes.beams.tolist(), boxes.bins.tolist()

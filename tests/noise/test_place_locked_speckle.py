@@ -2,7 +2,7 @@
 
 import sys
 from dataclasses import replace
-from itertools import count, pairwise
+from itertools import combinations, count, pairwise
 
 import numpy as np
 import pytest
@@ -324,6 +324,13 @@ def test_heave_roll_and_pitch_leave_the_pattern():
         for z, roll, pitch in ((0, 0, 0), (-7.0, 0.3, -0.4))
     )
     np.testing.assert_allclose(tilted, level, rtol=0, atol=4e-6)  # float32, of up to 12
+
+
+def test_each_cell_of_the_sea_has_a_pattern_of_its_own():
+    """At one place within it, of cells half a metre apart along either axis."""
+    places = ((0, 0), (1, 0), (0, 1), (1, 1), (-1, 0), (0, -1))
+    found = [patterns(PLACE_LOCKED, even_ping(pose=pose(0.2 + x / 2, 0.2 + y / 2)))[0] for x, y in places]
+    assert max(correlation(a, b) for a, b in combinations(found, 2)) < 0.1
 
 
 def test_cells_of_the_sea_fade_into_each_other():
