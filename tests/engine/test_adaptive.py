@@ -5,6 +5,7 @@ import math
 import re
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -178,6 +179,39 @@ def test_a_thin_body_between_two_beams_is_not_seen():
     assert not is_seen_before_a_wall(GAPS, upright)
 
 
+@pytest.mark.parametrize(("range_m", "is_seen"), [(19.5, True), (20.5, False)])
+def test_a_thin_body_in_a_corner_of_the_sector_is_seen_within_the_range(range_m, is_seen):
+    """At 21 degrees; both lie ahead by less than the range of 20 m."""
+    place = sg.pose(yaw=math.radians(21)) @ sg.pose(range_m)
+    rod = sg.Body("rod", trimesh.creation.box((0.004, 0.004, 1.0)), place)
+    assert is_seen_before_a_wall(SONAR, rod, wall_m=60.0) == is_seen
+
+
+def test_points_lie_on_the_held_parts_of_all_edges():
+    """Between x = 0 and 4, and below the water."""
+    slab = SimpleNamespace(normals=np.array([[1.0, 0, 0], [-1, 0, 0]]), offsets_m=np.array([0.0, 4.0]))
+
+    def points(*edges, below_m=None):
+        edges = np.array(edges, np.float64)
+        return visibility.points_within(slab, edges, np.ones(edges.shape[:2]) if below_m is None else below_m)
+
+    across = points([[-3, 1, 2], [9, 1, 2]])
+    np.testing.assert_allclose(across, np.stack([np.arange(256) / 64, np.ones(256), np.full(256, 2.0)], 1))
+    back = points([[3, 0, 0], [-5, 8, 0]])
+    assert back[0].tolist() == [3, 0, 0] and back[-1] == pytest.approx([3 / 256, 3 - 3 / 256, 0])
+    wet = points([[1, 0, 0], [3, 0, 0]], below_m=np.array([[-1.0, 3.0]]))
+    assert wet[:, 0].min() == pytest.approx(1.5) and wet[:, 0].max() > 2.99
+    # it enters the water before the slab, and leaves it after the slab
+    entered = points([[-1, 0, 0], [3, 0, 0]], below_m=np.array([[-1.0, 9.0]]))
+    left = points([[3, 0, 0], [-1, 0, 0]], below_m=np.array([[9.0, -1.0]]))
+    assert entered[:, 0].min() == 0 and left[:, 0].min() == pytest.approx(3 / 256)
+    both = points(*[[[-1, y, 0], [5, y, 0]] for y in (0, 1)])
+    assert len(both) == 256 and not set(both[both[:, 1] == 0, 0]) & set(both[both[:, 1] == 1, 0])
+    many = points(*[[[1, y, 0], [2, y, 0]] for y in range(1000)])
+    assert 200 < len(many) <= 256 and max(np.diff(np.unique(many[:, 1]))) <= 4 and many[:, 1].max() > 990
+    assert not len(points([[5, 0, 0], [9, 0, 0]])) and not len(points([[-5, 0, 0], [-1, 9, 0]]))
+
+
 @pytest.mark.parametrize("azimuth_deg", [-150, 30, 90])
 def test_edges_are_cut_for_the_sector_that_holds_the_body_alone(azimuth_deg, monkeypatch):
     """A fan of six sectors, and a body in the middle of one: to cut a thousand bodies for all took seconds."""
@@ -283,6 +317,13 @@ class TestMoving:
         assert [k for k, (estimated, _) in enumerate(estimates) if estimated] == [
             k * CHECK_EVERY for k in range(4)
         ]
+
+    def test_a_fifth_more_or_less_of_the_echo_is_a_change(self):
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            total = simulator.ping(sg.pose()).intensity.sum(dtype=np.float64)
+            sampler = simulator.run.sampler
+            changed = [sampler.has_changed(share * total) for share in (0, 0.79, 0.81, 1.19, 1.21)]
+        assert changed == [True, True, False, False, True]
 
     def test_an_interrupted_choice_is_made_anew(self, monkeypatch):
         with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
@@ -546,6 +587,29 @@ def test_strands_are_the_runs_of_samples_on_a_body_of_many_thin_parts(is_met, st
     assert found.strands.tolist() == [0, strands]
 
 
+@pytest.mark.parametrize("stripes", ["along rows", "across rows"])
+def test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples(stripes):
+    """By NumPy: of stripes of reflectivities at random, at other ranges in each row; they show across them alone."""
+    fan, random = make_fan(SONAR, sg.Sampling(2, 60), BeamShape(0.0)), np.random.default_rng(0)
+    (sector,) = fan.sectors
+    u, v = sector.sample_coordinates()
+    j, i = np.indices(u.shape)
+    is_on, length = (i >= 40) & (i < 70) & (j >= 20) & (j < 40), np.sqrt(1 + u * u + v * v)
+    mu = np.where(is_on, random.random(200)[i if stripes == "across rows" else j], 0.0)
+    q, gain = length / SONAR.range_m[40 + j], random.random(SONAR.n_bins).astype(np.float32)
+    plane_echo = np.stack([q, 0 * q, 0 * q, mu * length / q], axis=-1).astype(np.float32)
+    table = 1 + np.linspace(-1, 1, 4001)  # of a pattern that rises with the sine of the elevation
+    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, table, [np.empty(0)])
+    found = count_bodies([SectorSamples(sector, plane_echo, is_on.astype(np.uint16))], 1, reception)
+    angle = np.linalg.det(sector.steps) / length**3
+    echo = mu * angle * gain[40 + j] * (1 + v / length)
+    assert found.samples.tolist() == [0, 600]
+    assert found.echo[1] == pytest.approx(echo.sum(), rel=1e-3)  # the nearest entry of the table
+    inside = echo[20:40, 40:70]
+    both = ((np.diff(inside, axis=axis) ** 2).sum() for axis in (0, 1))
+    assert found.unevenness[1] == pytest.approx(math.sqrt(max(both) / 2), rel=1e-3)
+
+
 def with_gaps(rod_deg, range_m, *more):
     """Return a ping of a rod before a wall by boxes of 0.6 degrees every 2 degrees, one of them at 3 degrees."""
     sonar = sg.Sonar("gaps", 900e3, 24, 200, 48.0, 20.0, 0.6, 0.5, 12.0)
@@ -657,6 +721,18 @@ def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
     ):
         assert angle(**inside) > 0 and angle(**beyond) == 0
     assert angle() >= 2 * math.pi * (1 - math.cos(math.asin(0.1)))  # at least what the ball itself fills
+
+
+def test_vertices_without_a_face_do_not_extend_a_body():
+    ball = trimesh.creation.icosphere(2, 0.5)
+    more = trimesh.Trimesh([*ball.vertices, [0, 0, 40]], ball.faces, process=False)
+    state, even = SceneState(sg.pose(10)[None], np.ones(1, bool)), np.ones(SONAR.n_bins)
+    reception = Reception(SONAR, 0.0, math.radians(10), False, even, np.zeros(0), ())
+    found, expected = (
+        BodyExtents([sg.Body("ball", mesh, sg.pose(10))]).greatest_echo(state, np.eye(4), reception)
+        for mesh in (more, ball)
+    )
+    assert found.tolist() == expected.tolist()
 
 
 class TestSideLobes:
@@ -809,6 +885,8 @@ class TestPlan:
             with pytest.warns(ToleranceWarning, match="^tolerance 0.001 cannot be met here: ") as caught:
                 ping = simulator.ping(np.eye(4))
             assert "worst body ('ball'); go nearer" in str(caught[0].message)
+            columns = round(ping.meta["sampling"]["columns_per_beam"] * SONAR.n_beams)
+            assert f"fit, {columns} x {ping.meta['sampling']['rows']}, the" in str(caught[0].message)
             assert level(simulator) == 6 and ping.error_estimate > 0.001
             assert not simulator.run.sampler.plan.met
             with warnings.catch_warnings():  # the warning comes once

@@ -220,6 +220,18 @@ def test_interference():
     assert first == second
 
 
+def test_interference_rises_with_the_tvg():
+    """Of the same pulses."""
+    noise, laws = Noise(interference_lines=20.0, interference_db=-20.0), ("sonar_equation", "constant")
+    rising, even = (
+        noisy(noise, even_ping(8, 400, 0.5, level=0.0, range_law=law, tvg_k=30.0)) for law in laws
+    )
+    r, is_on = even_ping(n_bins=400).range_m, even > 0
+    expected = r**3 * 10 ** (2 * Acoustics.ideal().water.absorption(FREQUENCY_HZ) * r / 10)
+    np.testing.assert_allclose(rising[is_on], (even * expected)[is_on], rtol=1e-5)  # float32
+    assert is_on.any(axis=0).sum() > 60 and not rising[~is_on].any()
+
+
 def test_interference_comes_evenly_from_the_fan_and_over_the_range():
     """A pulse that began before the first bin, or goes on after the last one, is received in part."""
     ping, noise = even_ping(64, 40, 0.5, level=0.0), Noise(interference_lines=50.0, interference_db=0.0)
