@@ -872,6 +872,20 @@ class TestPlan:
             simulator.place({"rod 0": rods[9].pose})
             assert simulator.ping(sg.pose()).error_estimate == (None if change == "add" else plan.bound)
 
+    def test_a_plan_estimates_no_error_of_other_bubbles_nor_at_another_gain(self):
+        wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(12))
+        scene = sg.Scene([wall, sg.Bubbles("plume", sg.pose(8, 0, -1))])
+        acoustics = sg.Acoustics.physical(tvg_absorption_db_m=0.2)  # else the TVG follows the water
+        with sg.Simulator(scene, SONAR, acoustics) as simulator:
+            plan = simulator.plan([sg.pose()])
+            assert simulator.ping(sg.pose()).error_estimate == plan.bound
+            for other in (
+                {"bodies": {"plume": None}},
+                {"time_s": 4.0},
+                {"water": replace(acoustics.water, absorption_db_m=0.5)},
+            ):
+                assert simulator.ping(sg.pose(), **other).error_estimate is None
+
     def test_fixed_samples_need_no_plan(self):
         with sg.Simulator(TestMoving().scene(), SONAR, IDEAL, sg.Sampling(2, 32)) as simulator:
             assert simulator.plan([np.eye(4)]) is None
