@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numba
 import numpy as np
 
+from sonar_gl.core.grown_array import Room
 from sonar_gl.core.reused_array import ReusedArray
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.cpu.visibility_buffer import (
@@ -51,23 +52,25 @@ class LoadedMeshes:
     meshes : SceneMeshes, the bodies and their poses
     vertices : Vertices of all patches
     patches : tuple of PatchFaces; empty without bodies
+    room : Room for more vertices
     """
 
     meshes: SceneMeshes
     vertices: Vertices
     patches: tuple[np.ndarray, ...] = ()
+    room: Room = field(default_factory=Room)
 
     def with_more(self, bodies) -> LoadedMeshes:
         """Return these and more bodies. This object stays as it is."""
         meshes = copy(self.meshes)
         made = meshes.add(bodies)
         if not made:
-            return LoadedMeshes(meshes, self.vertices, self.patches)
-        points = np.concatenate([self.vertices.points, *(one.points for one in made)])
+            return LoadedMeshes(meshes, self.vertices, self.patches, self.room)
+        points = self.room.append("points", self.vertices.points, [one.points for one in made])
         normals = self._appended("normals", made, np.zeros(3, np.float32))
         reflectivity = self._appended("reflectivity", made, np.float32(1.0))
         patches = tuple(meshes.levels[name] for name in PatchFaces._fields)
-        return LoadedMeshes(meshes, Vertices(points, normals, reflectivity), patches)
+        return LoadedMeshes(meshes, Vertices(points, normals, reflectivity), patches, self.room)
 
     def _appended(self, name: str, made, default):
         """Return an attribute of all vertices, as soon as any mesh has it."""
@@ -78,7 +81,7 @@ class LoadedMeshes:
             old = np.broadcast_to(default, (n, *default.shape))
         parts = [getattr(one, name) for one in made]
         fill = [np.broadcast_to(default, (len(one.points), *default.shape)) for one in made]
-        return np.concatenate([old, *(f if p is None else p for p, f in zip(parts, fill, strict=True))])
+        return self.room.append(name, old, [f if p is None else p for p, f in zip(parts, fill, strict=True)])
 
 
 class _Image:
