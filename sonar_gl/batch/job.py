@@ -458,14 +458,17 @@ def key_path(place: Iterable) -> str:
     return out
 
 
-def check_keys(kind: type, table: Mapping, where: str) -> None:
-    """Raise an Error if a table has keys that a dataclass does not, or lacks one that it needs."""
+def check_keys(kind: type, table: Mapping, where: str, also: Iterable[str] = ()) -> None:
+    """Raise an Error if a table has keys that a dataclass does not, or lacks one that it needs.
+
+    also : keys that the table may have in the file, too, which errors suggest
+    """
     needed = {
         field.name: field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         for field in dataclasses.fields(kind)
     }
     for key in table:
-        check_choice("key", key, needed, where)
+        check_choice("key", key, [*needed, *also], where)
     if missing := [key for key, is_needed in needed.items() if is_needed and key not in table]:
         raise Error(f"{where}: {' and '.join(missing)} must be given")
 

@@ -166,7 +166,7 @@ def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
     n_scenes, n_part = len(requests.job.scenes), len(batch.manifest.numbers(0))
     # of each scene a chunk at least, since few pings have more than their share of what a part needs once
     n_each = min(n_part, max(CHUNK_PINGS, -(-n_part // n_scenes)))
-    seconds, sizes, numbers = [], [], []
+    seconds, sizes, numbers, weights = [], [], [], []
     for scene in range(n_scenes):
         picked = _spread_numbers(requests, scene, n_each)
         batch.maker.make_sample(picked, report)
@@ -175,8 +175,9 @@ def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
         seconds.append((time.perf_counter() - begin_s) / len(picked))
         sizes.append(sum(folder.fs.size(folder.path(name)) for name in record.files) / len(picked))
         numbers += picked
-    # scenes have equally many pings
-    return Cost(sum(seconds) / n_scenes, sum(sizes) / n_scenes, tuple(sorted(numbers)))
+        weights.append(sum(len(run.numbers) for run in requests.runs if run.scene == scene))
+    means = np.average([seconds, sizes], axis=1, weights=weights).tolist()
+    return Cost(*means, tuple(sorted(numbers)))
 
 
 class HardView(NamedTuple):

@@ -419,6 +419,53 @@ def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(t
     assert [request.scene for request in requests] == [0, 0, 1, 1] * 2
 
 
+def test_a_table_of_poses_may_be_for_some_scenes_alone(tmp_path):
+    """Numbers, times and views of a ping are those that it has in a job whose other tables are left out or moved."""
+    path = write_job(tmp_path, 2, "")
+    names = ["tank.sdf", "pool.sdf", "dock.sdf"]
+    for name in names[1:]:
+        shutil.copy(tmp_path / "tank.sdf", tmp_path / name)
+    (sector,) = read_job(path).plain["poses"]
+    views = {"kind": "random_views", "target_m": [3.0, 0.0, 0.0], "range_m": [1.0, 2.0], "n_pings": 1}
+    tables = [sector | {"scenes": ["dock.sdf", "tank.sdf"]}, views | {"scenes": ["pool.sdf"]}, views]
+    job = read_job(path).model_copy(update={"scenes": names, "poses": tables})
+    requests = BatchRequests(job)
+    assert [request.scene for request in requests] == [0, 0, 2, 2, 1, 0, 1, 2]
+    times_s = [0.0, 0.2, 1.2, 1.4, 2.4, 3.4, 4.4, 5.4]
+    assert [request.time_s for request in requests] == pytest.approx(times_s, abs=1e-9)
+    everywhere = BatchRequests(job.model_copy(update={"poses": [sector, views, views]}))
+    for number, other in zip(range(8), (0, 1, 0, 1, 6, 9, 9, 9), strict=True):
+        assert np.array_equal(requests[number].vehicle_pose, everywhere[other].vehicle_pose)
+
+
+def test_scenes_of_poses_are_those_of_the_job_and_each_has_poses(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    shutil.copy(tmp_path / "tank.sdf", tmp_path / "pool.sdf")
+    text = path.read_text().replace('["tank.sdf"]', '["tank.sdf", "pool.sdf"]')
+    for key, message in (
+        ('scenes = ["tank"]', "poses[0].scenes: unknown scene (got 'tank'; did you mean 'tank.sdf'?)"),
+        ("scenes = [1]", "poses[0].scenes: unknown scene (got 1; known are pool.sdf, tank.sdf)"),
+        (
+            'scenes = "tank.sdf"',
+            "poses[0].scenes must be a list of scenes (got 'tank.sdf'; leave it out for all scenes of the job)",
+        ),
+        (
+            "scenes = []",
+            "poses[0].scenes must be a list of scenes (got []; leave it out for all scenes of the job)",
+        ),
+        (
+            'scenes = ["tank.sdf"]',
+            "scenes[1] must have poses (got 'pool.sdf', which no table of poses has in its scenes; name it in one, or "
+            "leave it out)",
+        ),
+        ('scene = ["tank.sdf"]', "poses[0]: unknown key (got 'scene'; did you mean 'scenes' or 'sweep_s'?)"),
+    ):
+        path.write_text(text.replace('kind = "sector"', f'kind = "sector"\n{key}'))
+        with pytest.raises(sg.Error) as caught:
+            BatchRequests(read_job(path))
+        assert str(caught.value) == f"{path}: {message}"
+
+
 def test_sonars_have_the_mounts_ranges_and_bins_of_the_job(tmp_path):
     """Of 80 bins from 0.5 to 8.5 m: another range keeps their length, unless their number is given, too."""
     path = write_job(tmp_path, 2, "")
@@ -621,13 +668,19 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n_scenes", [1, 2])
-def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monkeypatch, n_scenes):
-    """By a clock that a ping n advances by n milliseconds, and a thousand times as much the first time."""
+@pytest.mark.parametrize(("n_scenes", "more"), [(1, 0), (2, 0), (2, 40)])
+def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monkeypatch, n_scenes, more):
+    """By a clock that a ping n advances by n milliseconds, and a thousand times as much the first time.
+
+    more : further pings, of the second scene alone
+    """
     path, now_s, made = write_job(tmp_path, 40, LABELS + MORE), [0.0], []
     shutil.copy(tmp_path / "tank.sdf", tmp_path / "pool.sdf")
     text = path.read_text().replace("pings_per_part = 4", "pings_per_part = 16")
     path.write_text(text.replace('["tank.sdf"]', str(["tank.sdf", "pool.sdf"][:n_scenes])))
+    if more:
+        poses = text[text.index("[[poses]]") : text.index("[[vary.bodies]]")] + 'scenes = ["pool.sdf"]\n'
+        path.write_text(path.read_text() + poses)
     batch = open_batch(path, tmp_path / "out")
     number_at = {request.time_s: request.number for request in batch.requests}
     begin(batch).save(batch.folder)
@@ -646,10 +699,11 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
     if n_scenes == 1:
         expected = np.linspace(0, 39, 16).round().astype(int)
     else:
-        expected = np.linspace([0, 40], [39, 79], 8).round().astype(int).T.ravel()
+        expected = np.linspace([0, 40], [39, 79 + more], 8).round().astype(int).T.ravel()
     assert cost.numbers == tuple(expected.tolist())
     assert all(made.count(number) == 4 for number in expected) and len(made) == 4 * len(expected)
-    assert cost.seconds_per_ping == pytest.approx(1e-3 * np.mean(expected), rel=1e-9)
+    weights = np.where(np.array(expected) < 40, 40, 40 + more)  # pings of each scene
+    assert cost.seconds_per_ping == pytest.approx(1e-3 * np.average(expected, weights=weights), rel=1e-9)
     batch.close()
 
 

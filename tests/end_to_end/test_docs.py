@@ -316,7 +316,7 @@ SETS = "pylons", "validation"
 
 @pytest.mark.slow
 def test_the_page_of_batches_runs(folder):
-    job, rig = (block.values[0] for block in blocks("toml", [BATCHES]))
+    job, rig, elsewhere = (block.values[0] for block in blocks("toml", [BATCHES]))
     Path("pylons.toml").write_text(re.sub(r"n_pings = \d+", "n_pings = 9", job))
     Path("validation.toml").write_text(Path("pylons.toml").read_text().replace("seed = 1", "seed = 2"))
     before = set(os.listdir())
@@ -370,6 +370,9 @@ def test_the_page_of_batches_runs(folder):
         one = ones[image["id"] // 9]
         ids = joined.getAnnIds(image["id"]), one.getAnnIds(image["id"] % 9)
         assert [a["bbox"] for a in joined.loadAnns(ids[0])] == [a["bbox"] for a in one.loadAnns(ids[1])]
+    Path("elsewhere.toml").write_text(elsewhere + text[text.index("[[sonars]]") : text.index("[[poses]]")])
+    requests = BatchRequests(read_job(Path("elsewhere.toml")))
+    assert [request.scene for request in requests] == [0] * 200 + [1] * 100
     requests = BatchRequests(read_job(shown))
     assert np.allclose(requests.mounts["upright"], sg.pose(roll=np.pi / 2), atol=1e-7)
     # the page's tables know every key, and no other
