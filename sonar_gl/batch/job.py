@@ -150,6 +150,7 @@ class MovedTable(Table):
     ----------
     names : names of bodies, with the wildcards * and ?
     apart : each body, or model whose name one of `names` matches, has its own random draw; otherwise all move together
+    one_of : one of these bodies or models at a time is there, each as often; the others are absent
     x_m, y_m, z_m : shifts in the world
     roll_rad, pitch_rad, yaw_rad : rotations about the body's own axes
     there : probability that the bodies are present
@@ -158,6 +159,7 @@ class MovedTable(Table):
 
     names: Names
     apart: bool = False
+    one_of: bool = None  # not False, which would change the digest of jobs without it
     x_m: VariedMetres = 0.0
     y_m: VariedMetres = 0.0
     z_m: VariedMetres = 0.0
@@ -166,6 +168,14 @@ class MovedTable(Table):
     yaw_rad: VariedRadians = 0.0
     there: Annotated[float, Field(ge=0, le=1)] = 1.0
     reflectivity: VariedShare = None
+
+    @model_validator(mode="after")
+    def _check_apart(self):
+        if self.apart and self.one_of:
+            raise ValueError(
+                "apart and one_of exclude each other (got both; leave apart out: one alone moves)"
+            )
+        return self
 
 
 class VaryTable(Table):

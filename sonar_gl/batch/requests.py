@@ -216,10 +216,12 @@ class BatchRequests(Sequence):
         bodies, reflectivity = {}, {}
         known = self.bodies_and_plumes(scene)
         for k, table in enumerate(self.job.vary.bodies):
-            for group in self._moved_groups(scene, k):
+            groups = self._moved_groups(scene, k)
+            chosen = _draw_whole(random, [0, len(groups) - 1]) if table.one_of and groups else None
+            for n, group in enumerate(groups):
                 draws = np.array([_draw(random, getattr(table, key)) for key in SHIFT_AND_TURN])
                 shift, turn = np.split(draws, 2)
-                is_present = random.random() < table.there
+                is_present = random.random() < table.there and chosen in (None, n)
                 mu = None if table.reflectivity is None else _draw(random, table.reflectivity)
                 for name in group:  # of two tables the later one counts, also where it changes nothing
                     bodies.pop(name, None)
@@ -304,12 +306,12 @@ class BatchRequests(Sequence):
         return self._moved_names[scene, table]
 
     def _moved_groups(self, scene: int, table: int) -> list[list[str]]:
-        """Return the bodies of a scene that a table moves, those that move together in one list.
+        """Return the bodies of a scene that a table moves or chooses from, those that move together in one list.
 
         A model whose name a pattern matches moves as a whole, the outermost of several: a fish with its tail.
         """
         names, moved = self.moved_names(scene, table), self.job.vary.bodies[table]
-        if not moved.apart:
+        if not (moved.apart or moved.one_of):
             return [names]
         if (scene, table) not in self._apart_groups:
             # a body of MuJoCo is a model, too, whose parts are named after it

@@ -38,6 +38,7 @@ from sonar_gl.noise.field import receiver_power
 from sonar_gl.sonar.sampling import ToleranceWarning
 from tests.support.batches import (
     BOX,
+    FLOOR,
     LABELS,
     MORE,
     files_of,
@@ -46,7 +47,7 @@ from tests.support.batches import (
     write_job,
     write_plain_job,
 )
-from tests.support.command_line import run
+from tests.support.command_line import WALL, run
 
 N = 10
 
@@ -381,6 +382,43 @@ def test_what_moves_apart_moves_as_whole_models(tmp_path):
     for found in models("*"):  # the school is one model
         (a, mu), (b, b_mu) = found["school::a"][0], found["school::b"][0]
         assert (a is None) == (b is None) and mu == b_mu
+
+
+def test_one_of_several_bodies_is_there_at_a_time_each_as_often(tmp_path):
+    """Of three, a fish with its tail among them: what it is made of, its size and shape vary from ping to ping."""
+    path = write_job(tmp_path, 3000, "")
+    link = re.search("<link.*</link>", BOX, re.DOTALL)[0]
+    links = "".join(link.replace('"link"', f'"{name}"') for name in ("head", "tail"))
+    fish = f'<model name="fish"><pose>3 0 0 0 0 0</pose>{links}</model>'
+    bodies = WALL + BOX + BOX.replace("box_1", "box_2") + fish + FLOOR
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{bodies}</world></sdf>')
+    (tmp_path / "empty.sdf").write_text(f'<sdf version="1.9"><world name="empty">{WALL}</world></sdf>')
+    one = {"names": ["box_*", "fish*"], "one_of": True, "x_m": [-0.5, 0.5], "there": 0.8}
+    after = {"names": ["floor"], "z_m": [-0.2, 0.0]}
+    plain = read_job(path).plain | {"scenes": ["tank.sdf", "empty.sdf"]}
+
+    def bodies_of(*tables):
+        requests = BatchRequests(Job(**plain | {"vary": {"bodies": list(tables)}}))
+        return [requests[number].bodies for number in range(3000)], requests
+
+    found, requests = bodies_of(one, after)
+    counts = dict.fromkeys(("", "box_1", "box_2", "fish::head"), 0)
+    for moved in found:
+        assert set(moved) == {"box_1", "box_2", "fish::head", "fish::tail", "floor"}
+        there = [name for name in moved if moved[name] is not None and name != "floor"]
+        assert there in ([], ["box_1"], ["box_2"], ["fish::head", "fish::tail"])
+        counts[there[0] if there else ""] += 1
+    expected = np.array([0.2, 0.8 / 3, 0.8 / 3, 0.8 / 3]) * 3000
+    chi_squared = ((np.array(list(counts.values())) - expected) ** 2 / expected).sum()
+    assert chi_squared < 16.3  # exceeded once in a thousand seeds
+    shifts = np.array([moved["box_1"][0, 3] - 3 for moved in found if moved["box_1"] is not None])
+    assert abs(shifts).max() <= 0.5 and shifts.std() == pytest.approx(1 / np.sqrt(12), rel=0.1)
+    assert requests[3000].bodies == {}  # a scene without any of them
+    # which one is there decides no draw of another table
+    floor, _ = bodies_of(one | {"there": 1.0}, after)
+    assert all(np.array_equal(a["floor"], b["floor"]) for a, b in zip(found, floor, strict=True))
+    alone, _ = bodies_of({"names": ["box_1"], "one_of": True})
+    assert not any(alone)  # it is always there, as it is in the scene
 
 
 def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_path):
@@ -1512,6 +1550,11 @@ BAD = [
     ("[labels]", "[coco]\ncounts = { gain = 3 }\n[labels]", "coco.counts: counts: unknown key (got 'gain'"),
     ("[labels]", "[coco]\ncounts = 3\n[labels]", "coco.counts: should be a table, such as { law"),
     ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),
+    (
+        "there = 0.8",
+        "apart = true\none_of = true",
+        "vary.bodies[0]: apart and one_of exclude each other (got both; leave apart out: one alone moves)",
+    ),
     ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),
     (
         'target = ["box*"]',
