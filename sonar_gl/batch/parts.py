@@ -24,7 +24,7 @@ from sonar_gl.batch.manifest import (
     default_pings_per_part,
     table_name,
 )
-from sonar_gl.batch.outputs import make_outputs, try_outputs
+from sonar_gl.batch.outputs import LabelledBins, make_outputs, try_outputs
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
 from sonar_gl.batch.schema import Schema
 from sonar_gl.batch.store import (
@@ -147,17 +147,42 @@ def make_part(
     return batch.maker.make(part, set_aside, one_by_one, report)
 
 
+class SeenClass(NamedTuple):
+    """In how many of some pings a class has a label, and the median of its bins there, 0 if in none."""
+
+    name: str
+    n_pings: int
+    median_bins: int
+
+
+class SeenClasses(NamedTuple):
+    """The classes of a scene's bodies in so many pings of a sonar, those in the fewest pings first."""
+
+    scene: int
+    sonar: str
+    n_pings: int
+    classes: list[SeenClass]
+
+
 @dataclass(frozen=True)
-class Cost:
-    """Time and size of a ping, the mean over those of these numbers, rising."""
+class Trial:
+    """What some pings of a job have shown.
+
+    Attributes
+    ----------
+    seconds_per_ping, bytes_per_ping : means over the job
+    numbers : of the pings, rising
+    seen : of each scene and sonar; empty if the job stores no labels
+    """
 
     seconds_per_ping: float
     bytes_per_ping: float
     numbers: tuple[int, ...]
+    seen: list[SeenClasses]
 
 
-def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
-    """Return what a ping costs: of about as many as a part has, spread over the job.
+def try_pings(batch: Batch, report: Report = no_report) -> Trial:
+    """Return what a ping costs, and which classes are seen: of about as many pings as a part has, spread over the job.
 
     The pings of each scene are made twice, as a part is made, since only the second time is typical: the first one
     opens the scene, and compiles.
@@ -166,10 +191,14 @@ def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
     n_scenes, n_part = len(requests.job.scenes), len(batch.manifest.numbers(0))
     # of each scene a chunk at least, since few pings have more than their share of what a part needs once
     n_each = min(n_part, max(CHUNK_PINGS, -(-n_part // n_scenes)))
-    seconds, sizes, numbers, weights = [], [], [], []
+    seconds, sizes, numbers, weights, seen = [], [], [], [], []
     for scene in range(n_scenes):
         picked = _spread_numbers(requests, scene, n_each)
+        labelled = LabelledBins(requests, batch.schema, folder)
+        batch.maker.outputs.append(labelled)
         batch.maker.make_sample(picked, report)
+        batch.maker.outputs.remove(labelled)  # a batch does not spend time on it
+        seen += [_seen_classes(batch, scene, sonar, bins) for sonar, bins in labelled.counts.items()]
         begin_s = time.perf_counter()
         record = batch.maker.make_sample(picked, report)
         seconds.append((time.perf_counter() - begin_s) / len(picked))
@@ -177,7 +206,18 @@ def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
         numbers += picked
         weights.append(sum(len(run.numbers) for run in requests.runs if run.scene == scene))
     means = np.average([seconds, sizes], axis=1, weights=weights).tolist()
-    return Cost(*means, tuple(sorted(numbers)))
+    return Trial(*means, tuple(sorted(numbers)), seen)
+
+
+def _seen_classes(batch: Batch, scene: int, sonar: str, bins: list[np.ndarray]) -> SeenClasses:
+    """Return in how many pings the classes are seen, given the bins of each class in each ping."""
+    schema, counts, found = batch.schema, np.array(bins), []
+    n_bodies = len(batch.requests.scene(scene).bodies)
+    for number in sorted({*schema.scene_class_id(scene)[1 : 1 + n_bodies].tolist()} - {0}):
+        where_seen = counts[counts[:, number] > 0, number]
+        median = int(np.median(where_seen)) if len(where_seen) else 0
+        found.append(SeenClass(schema.classes[number - 1], len(where_seen), median))
+    return SeenClasses(scene, sonar, len(bins), sorted(found, key=lambda one: one.n_pings))
 
 
 class HardView(NamedTuple):
@@ -237,7 +277,7 @@ STEPS = {
     "begin": begin,
     "create": create_store,
     "make": make_part,
-    "measure": measure_cost,
+    "try": try_pings,
     "survey": survey,
     "finalize": finalize,
 }

@@ -24,7 +24,7 @@ from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
-from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part, measure_cost
+from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part, try_pings
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
@@ -733,7 +733,7 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
 
     monkeypatch.setattr(parts, "make_pings", timed)
     monkeypatch.setattr(parts.time, "perf_counter", lambda: now_s[0])
-    cost = measure_cost(batch)
+    cost = try_pings(batch)
     if n_scenes == 1:
         expected = np.linspace(0, 39, 16).round().astype(int)
     else:
@@ -743,6 +743,45 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
     weights = np.where(np.array(expected) < 40, 40, 40 + more)  # pings of each scene
     assert cost.seconds_per_ping == pytest.approx(1e-3 * np.average(expected, weights=weights), rel=1e-9)
     batch.close()
+
+
+@pytest.mark.slow
+def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
+    """As the labels of the finished batch do; a class without a body in a scene is none that could be seen there."""
+    path = write_plain_job(tmp_path, 8, 8, LABELS)
+    (tmp_path / "pool.sdf").write_text(f'<sdf version="1.9"><world name="pool">{WALL}</world></sdf>')
+    text = path.read_text().replace('["tank.sdf"]', '["tank.sdf", "pool.sdf"]')
+    text = text.replace('target = ["box*"]', 'target = ["box*"]\nbehind = ["lost"]')
+    path.write_text(text.replace("[labels]", '[[vary.bodies]]\nnames = ["box_1"]\nthere = 0.5\n[labels]'))
+    lost = BOX.replace("box_1", "lost").replace("3 0.3 -0.3", "-3 0 0")
+    tank = (tmp_path / "tank.sdf").read_text()
+    (tmp_path / "tank.sdf").write_text(tank.replace("</world>", lost + "</world>"))
+    text = path.read_text()
+    path.write_text(text.replace('"shadow", ', ""))
+    batch = open_batch(path, tmp_path / "trial")
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    trial = try_pings(batch)
+    batch.close()
+    make_all(path, tmp_path / "out")
+    found = xr.open_dataset(tmp_path / "out" / "pings.zarr")
+    assert found.attrs["classes"] == ["fixed", "target", "behind"] and trial.numbers == tuple(range(16))
+    bins = [(found.class_id == number).sum(("beam", "range")).values for number in (1, 2, 3)]
+    in_tank, in_pool = trial.seen
+    assert (in_tank.scene, in_tank.sonar, in_tank.n_pings) == (0, "level", 8) and in_pool.scene == 1
+    fixed, target = (one[:8] for one in bins[:2])
+    assert not bins[2].any() and 0 < (target > 0).sum() < 8
+    assert in_tank.classes == [
+        ("behind", 0, 0),
+        ("target", (target > 0).sum(), int(np.median(target[target > 0]))),
+        ("fixed", 8, int(np.median(fixed))),
+    ]
+    assert in_pool.classes == [("fixed", 8, int(np.median(bins[0][8:])))]
+    shown = run("batch", path, "--dry-run", "--workers", "1")[1]
+    lines = [line for line in shown.splitlines() if line.startswith("  labels of")]
+    assert len(lines) == 2 and lines[0].startswith("  labels of 8 pings: behind in none, target in ")
+    path.write_text(text[: text.index("[labels]")])
+    assert "labels of" not in run("batch", path, "--dry-run", "--workers", "1")[1]
 
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):

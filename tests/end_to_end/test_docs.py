@@ -332,6 +332,9 @@ def test_the_page_of_batches_runs(folder):
             assert re.search(
                 r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ to \d+ samples a ping", result.stdout, re.M
             )
+            assert re.search(
+                r"^  labels of 8 pings: (.* in \S+( \(\d+ bins in the median\))?, )+", result.stdout, re.M
+            )
             size_kb = float(re.search(r"^size: \S+ \wB \((\d+) kB a ping\)", result.stdout, re.M)[1])
             assert re.search(
                 r"^speed: \S+ pings a second in one process \(\S+ ms a ping, on .*; measured on this machine by ",
