@@ -182,10 +182,10 @@ class Trial:
 
 
 def try_pings(batch: Batch, report: Report = no_report) -> Trial:
-    """Return what a ping costs, and which classes are seen: of about as many pings as a part has, spread over the job.
+    """Return what a ping costs, of about as many as a part has, spread over the job, and which classes are seen.
 
     The pings of each scene are made twice, as a part is made, since only the second time is typical: the first one
-    opens the scene, and compiles.
+    opens the scene, and compiles. With labels, the first time there are SURVEYED at least, since few say little.
     """
     requests, folder = batch.requests, batch.folder
     n_scenes, n_part = len(requests.job.scenes), len(batch.manifest.numbers(0))
@@ -194,11 +194,10 @@ def try_pings(batch: Batch, report: Report = no_report) -> Trial:
     seconds, sizes, numbers, weights, seen = [], [], [], [], []
     for scene in range(n_scenes):
         picked = _spread_numbers(requests, scene, n_each)
-        labelled = LabelledBins(requests, batch.schema, folder)
-        batch.maker.outputs.append(labelled)
-        batch.maker.make_sample(picked, report)
-        batch.maker.outputs.remove(labelled)  # a batch does not spend time on it
-        seen += [_seen_classes(batch, scene, sonar, bins) for sonar, bins in labelled.counts.items()]
+        if requests.job.labels is None:
+            batch.maker.make_sample(picked, report)
+        else:
+            seen += _see_classes(batch, scene, max(n_each, SURVEYED), report)
         begin_s = time.perf_counter()
         record = batch.maker.make_sample(picked, report)
         seconds.append((time.perf_counter() - begin_s) / len(picked))
@@ -207,6 +206,17 @@ def try_pings(batch: Batch, report: Report = no_report) -> Trial:
         weights.append(sum(len(run.numbers) for run in requests.runs if run.scene == scene))
     means = np.average([seconds, sizes], axis=1, weights=weights).tolist()
     return Trial(*means, tuple(sorted(numbers)), seen)
+
+
+def _see_classes(batch: Batch, scene: int, count: int, report: Report) -> list[SeenClasses]:
+    """Make so many pings spread over those of a scene, and return how often each sonar sees each class."""
+    numbers, n_part = _spread_numbers(batch.requests, scene, count), len(batch.manifest.numbers(0))
+    labelled = LabelledBins(batch.requests, batch.schema, batch.folder)
+    batch.maker.outputs.append(labelled)
+    for first in range(0, len(numbers), n_part):
+        batch.maker.make_sample(numbers[first : first + n_part], report)
+    batch.maker.outputs.remove(labelled)  # a batch does not spend time on it
+    return [_seen_classes(batch, scene, sonar, bins) for sonar, bins in labelled.counts.items()]
 
 
 def _seen_classes(batch: Batch, scene: int, sonar: str, bins: list[np.ndarray]) -> SeenClasses:

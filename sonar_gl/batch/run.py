@@ -358,16 +358,15 @@ def _seen_text(seen: SeenClasses) -> str:
 
     >>> from sonar_gl.batch.parts import SeenClass
     >>> _seen_text(SeenClasses(0, "p900_45", 16, [SeenClass("diver", 0, 0), SeenClass("box", 9, 210)]))
-    '  labels of 16 pings: diver in none, box in 9 (210 bins in the median)'
+    '  labels of 16 pings, with the median of their bins: diver in none, box in 9 (210)'
     """
     texts = [
-        f"{one.name} in {one.n_pings} ({one.median_bins} bins in the median)"
-        if one.n_pings
-        else f"{one.name} in none"
+        f"{one.name} in {one.n_pings} ({one.median_bins})" if one.n_pings else f"{one.name} in none"
         for one in seen.classes
     ]
     more = f", and {len(texts) - RAREST} more" if len(texts) > RAREST else ""
-    return f"  labels of {seen.n_pings} pings: {', '.join(texts[:RAREST]) or 'no class'}{more}"
+    rarest = ", ".join(texts[:RAREST]) or "no class"
+    return f"  labels of {seen.n_pings} pings, with the median of their bins: {rarest}{more}"
 
 
 def _pose_text(pose: np.ndarray) -> str:

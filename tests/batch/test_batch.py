@@ -712,7 +712,7 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
 
     more : further pings, of the second scene alone
     """
-    path, now_s, made = write_job(tmp_path, 40, LABELS + MORE), [0.0], []
+    path, now_s, made = write_job(tmp_path, 40, MORE.replace("[coco]\nheight = 100", "")), [0.0], []
     shutil.copy(tmp_path / "tank.sdf", tmp_path / "pool.sdf")
     text = path.read_text().replace("pings_per_part = 4", "pings_per_part = 16")
     path.write_text(text.replace('["tank.sdf"]', str(["tank.sdf", "pool.sdf"][:n_scenes])))
@@ -748,7 +748,7 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
 @pytest.mark.slow
 def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
     """As the labels of the finished batch do; a class without a body in a scene is none that could be seen there."""
-    path = write_plain_job(tmp_path, 8, 8, LABELS)
+    path = write_plain_job(tmp_path, 8, 4, LABELS)  # more pings than a part has
     (tmp_path / "pool.sdf").write_text(f'<sdf version="1.9"><world name="pool">{WALL}</world></sdf>')
     text = path.read_text().replace('["tank.sdf"]', '["tank.sdf", "pool.sdf"]')
     text = text.replace('target = ["box*"]', 'target = ["box*"]\nbehind = ["lost"]')
@@ -765,7 +765,7 @@ def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
     batch.close()
     make_all(path, tmp_path / "out")
     found = xr.open_dataset(tmp_path / "out" / "pings.zarr")
-    assert found.attrs["classes"] == ["fixed", "target", "behind"] and trial.numbers == tuple(range(16))
+    assert found.attrs["classes"] == ["fixed", "target", "behind"]
     bins = [(found.class_id == number).sum(("beam", "range")).values for number in (1, 2, 3)]
     in_tank, in_pool = trial.seen
     assert (in_tank.scene, in_tank.sonar, in_tank.n_pings) == (0, "level", 8) and in_pool.scene == 1
@@ -779,7 +779,9 @@ def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
     assert in_pool.classes == [("fixed", 8, int(np.median(bins[0][8:])))]
     shown = run("batch", path, "--dry-run", "--workers", "1")[1]
     lines = [line for line in shown.splitlines() if line.startswith("  labels of")]
-    assert len(lines) == 2 and lines[0].startswith("  labels of 8 pings: behind in none, target in ")
+    assert len(lines) == 2 and lines[0].startswith(
+        "  labels of 8 pings, with the median of their bins: behind in none, target in "
+    )
     path.write_text(text[: text.index("[labels]")])
     assert "labels of" not in run("batch", path, "--dry-run", "--workers", "1")[1]
 

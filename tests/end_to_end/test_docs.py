@@ -333,7 +333,7 @@ def test_the_page_of_batches_runs(folder):
                 r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ to \d+ samples a ping", result.stdout, re.M
             )
             assert re.search(
-                r"^  labels of 8 pings: (.* in \S+( \(\d+ bins in the median\))?, )+", result.stdout, re.M
+                r"^  labels of 9 pings, with the median of their bins: \w+ in \d \(", result.stdout, re.M
             )
             size_kb = float(re.search(r"^size: \S+ \wB \((\d+) kB a ping\)", result.stdout, re.M)[1])
             assert re.search(
