@@ -943,6 +943,24 @@ def test_coco_finds_bodies_where_the_labels_are_but_for_what_boxes_leave_out(sma
                 assert np.array_equal(coco.annToMask(annotation), mask == annotation["body_id"])
 
 
+def test_annotations_state_the_share_of_own_echo_in_what_their_bins_hold(small, requests, pings, quiet):
+    """Beside all other echo and the mean of the receiver's noise, which differs from ping to ping."""
+    found = []
+    for sonar in requests.sonars:
+        coco = COCO(str(small / "out" / "coco" / sonar / "instances.json"))
+        for request, noisy, ping in zip(requests, pings[sonar], quiet[sonar], strict=True):
+            whole, boxes = ping.intensity + receiver_power(ping, request.noise), boxes_of(noisy, 100, ping)
+            for one in coco.loadAnns(coco.getAnnIds(request.number)):
+                row = boxes.body_id.tolist().index(one["body_id"])
+                (beam, last_beam), (bin_, last_bin) = boxes.beams[row], boxes.bins[row]
+                inside = np.s_[beam : last_beam + 1, bin_ : last_bin + 1]
+                is_own = noisy.body_id[inside] == one["body_id"]
+                own = (noisy.share * ping.intensity)[inside][is_own]
+                assert one["own_share"] == pytest.approx(own.sum() / whole[inside][is_own].sum(), abs=1e-3)
+                found.append(one["own_share"])
+    assert len(set(found)) > 10 and 0 < min(found) < 0.9 < max(found) <= 1
+
+
 @pytest.mark.slow
 def test_bodies_of_few_pixels_have_no_annotation_if_the_job_wants_none(small, tmp_path):
     """Only these differ, and images and masks do not."""
