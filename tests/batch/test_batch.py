@@ -686,6 +686,33 @@ def test_parts_in_any_order_by_any_process_have_the_same_bytes(hard, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_set_of_scenes_with_poses_and_variants_of_their_own_has_the_same_bytes(tmp_path):
+    """In any order of parts, of several scenes each, and ping by ping."""
+    path = write_plain_job(tmp_path, 3, 4, "")
+    text = path.read_text().replace('["tank.sdf"]', '["tank.sdf", "pool.sdf"]')
+    (tmp_path / "pool.sdf").write_text((tmp_path / "tank.sdf").read_text().replace(BOX, ""))
+    poses = text[text.index("[[poses]]") :].replace("-0.2, 0.2", "0.2, 0.1")
+    vary = '[[vary.bodies]]\nnames = ["box_1", "floor"]\none_of = true\nx_m = [-0.5, 0.5]\n'
+    path.write_text(text + f'scenes = ["pool.sdf"]\n{poses}{vary}{LABELS}[coco]\nheight = 100\n')
+    make_all(path, tmp_path / "one")
+    batch = open_batch(path, tmp_path / "other")
+    assert [request.scene for request in batch.requests] == [1, 1, 1, 0, 0, 0, 1, 1, 1]
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    for part in (2, 0, 1):
+        make_part(batch, part, one_by_one=True)
+    finalize(batch)
+    batch.close()
+    assert files_of(tmp_path / "one") == files_of(tmp_path / "other")
+    found = xr.open_dataset(tmp_path / "one" / "pings.zarr")
+    box_or_floor = np.isnan(found.moved_pose[3:6, :, 0, 0])
+    assert found.moved_pose.attrs["bodies"][:2] == ["box_1", "floor"] and found.moved_pose.attrs["scenes"][
+        :2
+    ] == [0, 0]
+    assert (box_or_floor[:, 0] != box_or_floor[:, 1]).all()
+
+
+@pytest.mark.slow
 def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
     status, shown, _ = run("batch", hard, "--dry-run", "--workers", "9")
     lines = shown.splitlines()

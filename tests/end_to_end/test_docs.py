@@ -393,6 +393,7 @@ def test_the_page_of_batches_runs(folder):
 
 
 VARIED = '[[vary.bodies]]\nnames = ["box_1"]\nx_m = [-0.5, 0.5]\n'
+VARIED_ONE = VARIED.replace('"box_1"', '"box_1", "wall"') + "one_of = true\n"
 VARIED_MEDIA = (
     "[vary.water]\ntemperature_c = [2.0, 20.0]\n[vary.noise]\nambient_db = [-80.0, -60.0]\nlooks = [2, 4]\n"
 )
@@ -408,6 +409,7 @@ VARIED_MEDIA = (
         pytest.param(
             VARIED + "there = 0.5\nreflectivity = [0.2, 0.9]\n" + VARIED_MEDIA, False, ["tank.sdf"], id="all"
         ),
+        pytest.param(VARIED_ONE, True, ["pool.sdf", "tank.sdf"], id="one of two"),
         # in the first scene, too, bodies of these names move
         pytest.param(VARIED, True, ["pool.sdf", "tank.sdf"], id="scenes"),
     ],
