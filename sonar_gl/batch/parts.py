@@ -165,7 +165,7 @@ class SeenClasses(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trial:
+class DryRun:
     """What some pings of a job have shown.
 
     Attributes
@@ -181,7 +181,7 @@ class Trial:
     seen: list[SeenClasses]
 
 
-def try_pings(batch: Batch, report: Report = no_report) -> Trial:
+def try_pings(batch: Batch, report: Report = no_report) -> DryRun:
     """Return what a ping costs, of about as many as a part has, spread over the job, and which classes are seen.
 
     The pings of each scene are made twice, as a part is made, since only the second time is typical: the first one
@@ -205,7 +205,7 @@ def try_pings(batch: Batch, report: Report = no_report) -> Trial:
         numbers += picked
         weights.append(sum(len(run.numbers) for run in requests.runs if run.scene == scene))
     means = np.average([seconds, sizes], axis=1, weights=weights).tolist()
-    return Trial(*means, tuple(sorted(numbers)), seen)
+    return DryRun(*means, tuple(sorted(numbers)), seen)
 
 
 def _see_classes(batch: Batch, scene: int, count: int, report: Report) -> list[SeenClasses]:

@@ -273,7 +273,7 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         manifest = pool.call("begin")
         manifest.save(Folder(url))
         pool.call("create")
-        trial = pool.call("try")
+        tried = pool.call("try")
         surveys = [pool.call("survey", scene) for scene in range(len(job.scenes))]
     n, lines = manifest.n_pings, []
     for run in requests.runs:
@@ -286,19 +286,19 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         for name, sonar in requests.sonars.items():
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
             lines += _views_text(size, [view for view in views if view.sonar == name], requests)
-            lines += [_seen_text(one) for one in trial.seen if (one.scene, one.sonar) == (scene, name)]
+            lines += [_seen_text(one) for one in tried.seen if (one.scene, one.sonar) == (scene, name)]
         if text := millimetres_text(requests.scene(scene)):
             report(f"warning: {job.scenes[scene]}: {text}")
     parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
     lines.append(f"{n} pings in {parts}")
-    size = _amount(n * trial.bytes_per_ping)
-    lines.append(f"size: {size} ({trial.bytes_per_ping / 1e3:.0f} kB a ping)")
-    one_s, processes = n * trial.seconds_per_ping, min(len(devices), manifest.n_parts)
-    best_s = _busiest_pings(manifest, processes) * trial.seconds_per_ping
+    size = _amount(n * tried.bytes_per_ping)
+    lines.append(f"size: {size} ({tried.bytes_per_ping / 1e3:.0f} kB a ping)")
+    one_s, processes = n * tried.seconds_per_ping, min(len(devices), manifest.n_parts)
+    best_s = _busiest_pings(manifest, processes) * tried.seconds_per_ping
     lines.append(
-        f"speed: {1 / trial.seconds_per_ping:.3g} pings a second in one process ({1e3 * trial.seconds_per_ping:.1f} ms "
+        f"speed: {1 / tried.seconds_per_ping:.3g} pings a second in one process ({1e3 * tried.seconds_per_ping:.1f} ms "
         f"a ping, on {manifest.system.gl_renderer}; measured on this machine by "
-        f"{_numbers_text(trial.numbers)}, after all was compiled)"
+        f"{_numbers_text(tried.numbers)}, after all was compiled)"
     )
     lines.append(
         f"time: {_duration(one_s)} for all pings in one process, {_duration(best_s)} at best in {processes}, if each "

@@ -788,13 +788,13 @@ def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
     batch = open_batch(path, tmp_path / "trial")
     begin(batch).save(batch.folder)
     create_store(batch)
-    trial = try_pings(batch)
+    tried = try_pings(batch)
     batch.close()
     make_all(path, tmp_path / "out")
     found = xr.open_dataset(tmp_path / "out" / "pings.zarr")
     assert found.attrs["classes"] == ["fixed", "target", "behind"]
     bins = [(found.class_id == number).sum(("beam", "range")).values for number in (1, 2, 3)]
-    in_tank, in_pool = trial.seen
+    in_tank, in_pool = tried.seen
     assert (in_tank.scene, in_tank.sonar, in_tank.n_pings) == (0, "level", 8) and in_pool.scene == 1
     fixed, target = (one[:8] for one in bins[:2])
     assert not bins[2].any() and 0 < (target > 0).sum() < 8
