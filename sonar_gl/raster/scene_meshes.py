@@ -20,6 +20,7 @@ from sonar_gl.raster.cull import (
     BodyPlaces,
     PatchTree,
     body_spans,
+    choose_in_sectors,
     choose_patches,
     place_bodies,
 )
@@ -28,6 +29,7 @@ from sonar_gl.raster.views import (
     BodiesInView,
     PatchesInView,
     SectorView,
+    SectorViews,
     Window,
     distance_before_plane,
 )
@@ -213,3 +215,20 @@ class SceneMeshes:
             self._tree, tuple(self.boxes), places, view.geometry, view.limits, out
         )
         return PatchesInView(out[:n], n_faces, Window(*window))
+
+    def choose_in_sectors(self, views: SectorViews, bodies: BodiesInView, out: np.ndarray) -> np.ndarray:
+        """Choose what each of S sectors draws of bodies.
+
+        Parameters
+        ----------
+        out : (S, most_patches, 2) int32, overwritten
+
+        Returns
+        -------
+        (S, 6) int64: how many patches of a sector are chosen, how many faces these have, and its Window
+        """
+        found = np.zeros((len(out), 6), np.int64)
+        if self.bodies:
+            places = tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.rows, bodies.outside))
+            choose_in_sectors(self._tree, tuple(self.boxes), places, views.geometry, views.limits, out, found)
+        return found

@@ -19,17 +19,16 @@ from sonar_gl.raster.opengl.buffers import SceneBuffers
 from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
 from sonar_gl.raster.opengl.sheets import FURTHEST, MARGIN, draw_near
 from sonar_gl.raster.views import (
-    NO_BODIES,
     NO_PLANE,
     NO_SAMPLES,
     BodiesInView,
     RenderWorkspace,
+    SectorLayout,
     SectorView,
     Window,
-    samples_of,
 )
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
-from sonar_gl.sonar.samples import ViewSamples
+from sonar_gl.sonar.samples import NO_BODIES, ViewSamples
 from sonar_gl.sonar.sector import Sector
 
 LAYOUTS = (4, "f4"), (1, "u2")  # components and type of each attachment
@@ -249,6 +248,7 @@ class OpenGLRenderer:
         self._limit = side_limit(context)
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
+        self._layout = SectorLayout(self._sectors)
         self._uniforms, self._workspace = {}, workspace
         # the far plane lies across the middle of a sector, and so is further away in its corners
         furthest = max((view.furthest for view in self._sectors), default=1.0)
@@ -340,7 +340,7 @@ class OpenGLRenderer:
     def _read(self, target: RenderTarget, draws: list[SectorDraws], bodies: BodiesInView) -> ViewSamples:
         """Return what was drawn."""
         windows = [one.window for one in draws]
-        return samples_of(self._sectors, windows, *target.read(), body_spans=bodies.spans)
+        return self._layout.samples(windows, *target.read(), body_spans=bodies.spans)
 
     def _check_size(self, width: int, height: int) -> None:
         if max(width, height) > self._limit:
