@@ -228,7 +228,7 @@ class SceneMeshes:
         (S, 6) int64: how many patches of a sector are chosen, how many faces these have, and its Window
         """
         found = np.zeros((len(out), 6), np.int64)
-        if self.bodies:
+        if len(self.bodies):
             places = tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.rows, bodies.outside))
             choose_in_sectors(self._tree, tuple(self.boxes), places, views.geometry, views.limits, out, found)
         return found
