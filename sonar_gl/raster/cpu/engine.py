@@ -267,7 +267,7 @@ class CpuRenderer:
         samples,
         lobes_alone,
     ) -> np.ndarray:
-        """Draw some columns of each sector's window, and return what `draw_windows` does.
+        """Draw some columns of each sector's window; return (S,) bool, whether any sample may meet something.
 
         Parameters
         ----------
@@ -279,7 +279,8 @@ class CpuRenderer:
         contents = self._engine.contents
         vertices, has_normals = tuple(contents.vertices), len(contents.vertices.normals) > 0
         triangles = tuple(half.triangles(most[0], has_normals))
-        return draw_windows(
+        is_met = np.empty(len(found), bool)
+        draw_windows(
             chosen,
             found,
             contents.patches,
@@ -292,7 +293,9 @@ class CpuRenderer:
             (placed[1], has_lobes),
             samples,
             lobes_alone,
+            is_met,
         )
+        return is_met
 
 
 def _with_lobes(views: Sequence[tuple]) -> list[list[int]]:

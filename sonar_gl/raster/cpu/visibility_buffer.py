@@ -682,9 +682,21 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
 
 @compiled
 def draw_windows(
-    chosen, found, patches, vertices, placed, views, part, limits, memory, bodies_seen, image, lobes_alone
+    chosen,
+    found,
+    patches,
+    vertices,
+    placed,
+    views,
+    part,
+    limits,
+    memory,
+    bodies_seen,
+    image,
+    lobes_alone,
+    is_met,
 ):
-    """Draw some columns of the window of each of S sectors into an image; return whether any sample may meet something.
+    """Draw some columns of the window of each of S sectors into an image.
 
     One call draws all sectors: to hand arrays over takes as long as to draw a sector of side lobes.
 
@@ -696,16 +708,13 @@ def draw_windows(
     part : (2,) which of how many parts of the columns
     memory : depth and triangle, flat, of the largest VisibilityBuffer, and tuple of Triangles of the most faces
     bodies_seen, image, lobes_alone : as for `shade`
-
-    Returns
-    -------
-    (S,) bool
+    is_met : (S,) bool, overwritten: whether any sample of the sector may meet something
     """
     (depth, triangle, triangles), left = memory, 0
-    is_met = np.zeros(found.shape[0], np.bool_)
     for s in range(found.shape[0]):
         i, j, columns, rows = found[s, 2], found[s, 3], found[s, 4], found[s, 5]
         first, last = part[0] * columns // part[1], (part[0] + 1) * columns // part[1]
+        is_met[s] = False
         if first < last:
             view = (views[0][s], views[1][s], views[2][s], views[3][s], views[4][s], views[5][s], views[6][s])
             extent = i + first, i + last - 1, j, j + rows - 1
@@ -717,4 +726,3 @@ def draw_windows(
             is_met[s] = n > 0
             shade(buffer, triangles, view, extent, bodies_seen, left + first, image, lobes_alone)
         left += columns
-    return is_met
