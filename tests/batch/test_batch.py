@@ -1069,9 +1069,13 @@ def test_layers_boxes_and_masks_leave_out_what_the_noise_hides(tmp_path):
         quiet, noisy = (data[name].isel(ping=number) for name in ("quiet", "noisy"))
         arrays = quiet.intensity.values, quiet.azimuth_rad.values, quiet.range.values
         ping = sg.Ping(*arrays, **about)
-        is_above = ping.intensity >= receiver_power(ping, noise)
-        labels = np.where(is_above, quiet.body_id, 0)
-        assert np.array_equal(noisy.body_id, labels) and np.array_equal(noisy.shadow, quiet.shadow)
+        # the share is stored in steps of 1/255
+        least, most = ((quiet.share.values + step / 510) * ping.intensity for step in (-1, 1))
+        power, labels = receiver_power(ping, noise), noisy.body_id.values
+        assert (labels[least > power] == quiet.body_id.values[least > power]).all()
+        assert not labels[most < power].any() and np.mean((least <= power) & (power <= most)) < 0.01
+        assert ((labels == quiet.body_id.values) | (labels == 0)).all()
+        assert np.array_equal(noisy.shadow, quiet.shadow)
         assert 0 < (labels > 0).sum() < 0.9 * (quiet.body_id.values > 0).sum()
         ping = replace(ping, body_id=labels, body_echo=np.zeros(1 + len(noisy.body_bins)))
         boxes, mask = boxes_of(ping, 512), masks["noisy"][number]
