@@ -264,7 +264,7 @@ class Simulator:
     def add(self, *bodies: Body | Bubbles) -> None:
         """Put more bodies or plumes into the scene; the numbers of those that are there stay.
 
-        Give many bodies in one call: each call goes through all that are there.
+        Bodies may come one by one: a call takes no longer where many are there.
 
         Parameters
         ----------

@@ -67,7 +67,7 @@ class StageClock:
 
     def __init__(self, simulator):
         stage = simulator.run.sampler.resolution.stage
-        self._seconds = dict.fromkeys(("render", "sum_footprints", "weigh"), 0.0)
+        self._seconds = dict.fromkeys(("render", "sum_view", "weigh"), 0.0)
         for owner, name in zip(
             (stage.renderer, stage.beamformer, stage.beamformer), self._seconds, strict=True
         ):

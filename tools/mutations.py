@@ -109,6 +109,13 @@ MUTATIONS = (
         FAN,
     ),
     Mutation("fan image/astern", "middle + np.remainder(azimuth - middle", "0 + np.remainder(azimuth", FAN),
+    Mutation("empty pings/above the fan", "[[slope, 0, 1], [slope, 0, -1]]", "[[slope, 0, 1]]", EMPTY_PINGS),
+    Mutation(
+        "empty pings/corners of the fan",
+        "math.radians(top_deg)) / math.cos(half)",
+        "math.radians(top_deg))",
+        EMPTY_PINGS,
+    ),
     Mutation("fan image/more than a circle", "float(edges[1] - excess)", "float(edges[1])", FAN),
     Mutation("axes/first spoke", "math.ceil(first - 1e-6)", "math.ceil(first + 1e-6)", ("test_axes",)),
     Mutation("axes/side of labels", 'f"{deg:+g}" if deg else', 'f"{-deg:+g}" if deg else', ("test_axes",)),
@@ -920,7 +927,54 @@ MUTATIONS = (
     Mutation("planner/difference of two pings", "\nERROR_FACTOR = 1.86", "\nERROR_FACTOR = 0.93", PROMISE),
     Mutation("planner/weak bodies", "MIN_ECHO_SHARE = 5e-4", "MIN_ECHO_SHARE = 5e-3", PROMISE),
     Mutation("planner/poses of a plan", "MAX_POSES = 24", "MAX_POSES = 2", ADAPTIVE),
+    Mutation(
+        "planner/rate of a body's difference",
+        "share_of_difference(coarser, BODY_ERROR_RATE)",
+        "share_of_difference(coarser, ERROR_RATE)",
+        ADAPTIVE,
+    ),
+    Mutation(
+        "planner/samples of a body to levels",
+        "LEVELS_PER_HALF / 2 * math.log2(finer)",
+        "LEVELS_PER_HALF * math.log2(finer)",
+        ADAPTIVE,
+    ),
+    Mutation(
+        "planner/unevenness along rows",
+        "unlike[0, body] += (returned - beside) ** 2",
+        "unlike[0, body] += 0.0 * (returned - beside)",
+        ADAPTIVE,
+    ),
+    Mutation(
+        "planner/edges that are too many",
+        "held[:: max(math.ceil(len(held) / POINTS), 1)]",
+        "held[:POINTS]",
+        ADAPTIVE,
+    ),
+    Mutation(
+        "planner/bodies that get darker",
+        "np.where(high > low, high / np.maximum(low, 1e-12), 1.0)",
+        "np.where(high > low, other / np.maximum(own, 1e-12), 1.0)",
+        ADAPTIVE,
+    ),
+    Mutation("planner/echo that gets weaker", "abs(total - before) >", "(total - before) >", ADAPTIVE),
+    Mutation("planner/view of bubbles", "state.bubbles, setup.gain", "setup.gain", ADAPTIVE),
     # noise
+    Mutation(
+        "noise/cells of one column of the sea",
+        "for n in (cell_x, cell_y, chunk)",
+        "for n in (cell_x, cell_x, chunk)",
+        NOISE,
+    ),
+    Mutation(
+        "noise/interference under a TVG",
+        "self._mean_power(noise.interference_db)",
+        "self._mean_power(noise.interference_db) / self._tvg",
+        NOISE,
+    ),
+    Mutation(
+        "noise/amplitude of the echo", "np.sqrt(intensity, out=total[:, 0])", "total[:, 0] = intensity", NOISE
+    ),
     Mutation(
         "noise/power of a field",
         "np.multiply(amplitude, np.float32(np.sqrt(0.5)), dtype=np.float32)",
@@ -1091,6 +1145,14 @@ MUTATIONS = (
         "noise/common to channels, width", "np.outer(pattern, self", "np.outer(pattern**2, self", COMMON
     ),
     # the store of a batch
+    Mutation("store/second of the fields that vary", "column(group, k)", "column(group)", STORE),
+    Mutation("store/blocks of the table", "first += len(block) - rest", "first += len(block)", STORE),
+    Mutation(
+        "store/bodies that stay",
+        "request.bodies.get(name, known[name].pose)",
+        "request.bodies.get(name)",
+        STORE,
+    ),
     Mutation("store/rounding of a mantissa", "np.uint32(1 << (drop - 1))", "np.uint32(0)", ENCODING),
     Mutation(
         "store/place of a shard",
@@ -1283,6 +1345,8 @@ MUTATIONS = (
         ("test_bag",),
     ),
     # boxes about bodies
+    Mutation("boxes/bright echoes", "(1 << 14) - 1", "(1 << 13) - 1", BOXES),
+    Mutation("boxes/gap across the seam", "for i in range(2 * n):", "for i in range(n):", BOXES),
     Mutation(
         "boxes/numbers beyond the entries",
         "<= int(body_id.max()) < n_numbers",

@@ -19,7 +19,7 @@ from sonar_gl.core.checks import check_choice, check_fields, check_kind, make_nu
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.signatures import shown_by_fields
-from sonar_gl.core.warn import warn_caller
+from sonar_gl.core.warn import collected_warnings, warn_caller
 from sonar_gl.sonar.sonar import Sonar
 
 BARE = {
@@ -317,7 +317,9 @@ class Acoustics:
         if scale == 1.0 and 2 * top_deg == sonar.elevation_fov_deg:
             return sonar
         ranges = {key: getattr(sonar, key) / scale for key in ("range_min_m", "range_max_m")}
-        return replace(sonar, elevation_fov_deg=2 * top_deg, **ranges)
+        # numbers that no user has written: a warning would name them, and what is unlikely of the sonar has been said
+        with collected_warnings():
+            return replace(sonar, elevation_fov_deg=2 * top_deg, **ranges)
 
     # ---- range gain ---------------------------------------------------------------------------------------
 

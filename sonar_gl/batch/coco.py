@@ -25,7 +25,14 @@ END = b"]\n"
 
 
 def coco_records(
-    ids: np.ndarray, class_of_body, image_id: int, file_name: str, names=None, echo=None, **more
+    ids: np.ndarray,
+    class_of_body,
+    image_id: int,
+    file_name: str,
+    names=None,
+    echo=None,
+    own_share=None,
+    **more,
 ) -> tuple[dict, list[dict]]:
     """Return COCO's records of one fan image and of the bodies in it.
 
@@ -37,7 +44,8 @@ def coco_records(
     class_of_body : class of each body by number; bodies of class 0 have no annotation
     image_id : unique number, 0 or more
     file_name : path of the picture from the folder of images
-    names, echo : name of each body by number, and its echo as in `Ping.body_echo`; or None
+    names, echo, own_share : of each body by number its name, its echo as in `Ping.body_echo`, and the share of its own
+        echo in what its bins hold; or None
     more : plain values to add to the image
 
     Returns
@@ -45,7 +53,7 @@ def coco_records(
     image : id, file_name, height, width, and `more`
     annotations : by rising number of the body: id = image_id · 65536 + body_id, image_id, category_id, bbox
         [x, y, w, h] and area in whole pixels, iscrowd, segmentation; and fields that COCO does not have:
-        body_id, body (its name) and echo
+        body_id, body (its name), echo and own_share
 
     Raises
     ------
@@ -82,6 +90,8 @@ def coco_records(
             annotation["body"] = str(names[body])
         if echo is not None:
             annotation["echo"] = float(f"{echo[body]:.6g}")
+        if own_share is not None:
+            annotation["own_share"] = round(float(own_share[body]), 3)
         annotations.append(annotation)
     return image, annotations
 

@@ -150,6 +150,7 @@ class MovedTable(Table):
     ----------
     names : names of bodies, with the wildcards * and ?
     apart : each body, or model whose name one of `names` matches, has its own random draw; otherwise all move together
+    one_of : one of these bodies or models at a time is there, each as often; the others are absent
     x_m, y_m, z_m : shifts in the world
     roll_rad, pitch_rad, yaw_rad : rotations about the body's own axes
     there : probability that the bodies are present
@@ -158,6 +159,7 @@ class MovedTable(Table):
 
     names: Names
     apart: bool = False
+    one_of: bool = None  # not False, which would change the digest of jobs without it
     x_m: VariedMetres = 0.0
     y_m: VariedMetres = 0.0
     z_m: VariedMetres = 0.0
@@ -166,6 +168,14 @@ class MovedTable(Table):
     yaw_rad: VariedRadians = 0.0
     there: Annotated[float, Field(ge=0, le=1)] = 1.0
     reflectivity: VariedShare = None
+
+    @model_validator(mode="after")
+    def _check_apart(self):
+        if self.apart and self.one_of:
+            raise ValueError(
+                "apart and one_of exclude each other (got both; leave apart out: one alone moves)"
+            )
+        return self
 
 
 class VaryTable(Table):
@@ -458,14 +468,17 @@ def key_path(place: Iterable) -> str:
     return out
 
 
-def check_keys(kind: type, table: Mapping, where: str) -> None:
-    """Raise an Error if a table has keys that a dataclass does not, or lacks one that it needs."""
+def check_keys(kind: type, table: Mapping, where: str, also: Iterable[str] = ()) -> None:
+    """Raise an Error if a table has keys that a dataclass does not, or lacks one that it needs.
+
+    also : keys that the table may have in the file, too, which errors suggest
+    """
     needed = {
         field.name: field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         for field in dataclasses.fields(kind)
     }
     for key in table:
-        check_choice("key", key, needed, where)
+        check_choice("key", key, [*needed, *also], where)
     if missing := [key for key, is_needed in needed.items() if is_needed and key not in table]:
         raise Error(f"{where}: {' and '.join(missing)} must be given")
 

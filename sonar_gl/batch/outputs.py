@@ -22,10 +22,11 @@ from sonar_gl.batch.store import MADE, PingStore
 from sonar_gl.core.errors import errors_at
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.embed.camera import Camera
-from sonar_gl.imaging.boxes import body_map, boxes_of
+from sonar_gl.imaging.boxes import body_map_and_bins, boxes_of
 from sonar_gl.imaging.fan_image import fan_image
 from sonar_gl.imaging.files import npz_bytes, png_bytes, save_animation
 from sonar_gl.imaging.styles import FanStyle
+from sonar_gl.noise.field import receiver_power
 from sonar_gl.ping import Ping
 from sonar_gl.ros.bag import (
     BagSettings,
@@ -194,6 +195,21 @@ class PicturesOutput(CountsOutput):
                 yield self._draw(None, self.with_counts(name, ping), first)
 
 
+def own_shares(bins: np.ndarray, ping: Ping, quiet: Ping, power: np.ndarray | None) -> np.ndarray:
+    """Return the share of each body's own echo in all that its bins hold in the mean, (bodies + 1,), by number.
+
+    Parameters
+    ----------
+    bins : (B, K), number of the body in each bin, 0 for none
+    ping, quiet : Ping with the labels, and the same without noise
+    power : mean power of the receiver's noise, as of `receiver_power`
+    """
+    whole = quiet.intensity if power is None else quiet.intensity + power
+    own = np.bincount(bins.ravel(), (ping.share * quiet.intensity).ravel(), len(ping.body_echo))
+    total = np.bincount(bins.ravel(), whole.ravel(), len(ping.body_echo))
+    return np.divide(own, total, out=np.zeros_like(own), where=total > 0)
+
+
 class CocoOutput(CountsOutput):
     """Gray fan images, masks of the instances in them, and COCO's records of both."""
 
@@ -216,7 +232,8 @@ class CocoOutput(CountsOutput):
         if not instances.are_bodies:
             echo = np.bincount(instances.number_of, ping.body_echo, len(ping.body_echo))
             ping = replace(ping, body_id=instances.number_of[ping.body_id], body_echo=echo)
-        ids = np.where(picture > 0, body_map(ping, height, self.with_counts(sonar, quiet)), 0)
+        ids, bins = body_map_and_bins(ping, height, self.with_counts(sonar, quiet))
+        ids = np.where(picture > 0, ids, 0)
         name = ping_file(f"coco/{sonar}/images", request.number, "png")
         self.put(name, png_bytes(picture))
         mask_name = ping_file(f"coco/{sonar}/masks", request.number, "png")
@@ -228,6 +245,7 @@ class CocoOutput(CountsOutput):
             name.removeprefix(f"coco/{sonar}/images/"),
             names=instances.names,
             echo=ping.body_echo,
+            own_share=own_shares(bins, ping, quiet, receiver_power(quiet, request.noise)),
             ping=request.number,
             scene=self.job.scenes[request.scene],
             counts=asdict(law),
@@ -258,6 +276,26 @@ class CocoOutput(CountsOutput):
     def _part_name(sonar: str, part: int) -> str:
         """Return the name of the file with a part's records."""
         return f"coco/{sonar}/parts/{part:07d}.jsonl"
+
+
+class LabelledBins(Output):
+    """The number of bins that have the label of each class, for a dry run; it writes nothing.
+
+    Attributes
+    ----------
+    counts : sonar -> for each ping that was added, (1 + classes,) whole numbers, by number of the class
+    """
+
+    def __init__(self, *context):
+        super().__init__(*context)
+        self.counts: dict[str, list[np.ndarray]] = {}
+
+    def add(self, request, sonar, ping, quiet):
+        if ping.body_id is not None:
+            class_id = self.schema.scene_class_id(request.scene)[: len(ping.body_echo)]
+            bins = np.bincount(ping.body_id.ravel(), minlength=len(class_id))
+            counts = np.bincount(class_id, bins, 1 + len(self.schema.classes)).astype(int)
+            self.counts.setdefault(sonar, []).append(counts)
 
 
 class OpticalOutput(Output):

@@ -24,7 +24,7 @@ from sonar_gl.batch.manifest import (
     default_pings_per_part,
     table_name,
 )
-from sonar_gl.batch.outputs import make_outputs, try_outputs
+from sonar_gl.batch.outputs import LabelledBins, make_outputs, try_outputs
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
 from sonar_gl.batch.schema import Schema
 from sonar_gl.batch.store import (
@@ -147,36 +147,87 @@ def make_part(
     return batch.maker.make(part, set_aside, one_by_one, report)
 
 
+class SeenClass(NamedTuple):
+    """In how many of some pings a class has a label, and the median of its bins there, 0 if in none."""
+
+    name: str
+    n_pings: int
+    median_bins: int
+
+
+class SeenClasses(NamedTuple):
+    """The classes of a scene's bodies in so many pings of a sonar, those in the fewest pings first."""
+
+    scene: int
+    sonar: str
+    n_pings: int
+    classes: list[SeenClass]
+
+
 @dataclass(frozen=True)
-class Cost:
-    """Time and size of a ping, the mean over those of these numbers, rising."""
+class DryRun:
+    """What some pings of a job have shown.
+
+    Attributes
+    ----------
+    seconds_per_ping, bytes_per_ping : means over the job
+    numbers : of the pings, rising
+    seen : of each scene and sonar; empty if the job stores no labels
+    """
 
     seconds_per_ping: float
     bytes_per_ping: float
     numbers: tuple[int, ...]
+    seen: list[SeenClasses]
 
 
-def measure_cost(batch: Batch, report: Report = no_report) -> Cost:
-    """Return what a ping costs: of about as many as a part has, spread over the job.
+def try_pings(batch: Batch, report: Report = no_report) -> DryRun:
+    """Return what a ping costs, of about as many as a part has, spread over the job, and which classes are seen.
 
     The pings of each scene are made twice, as a part is made, since only the second time is typical: the first one
-    opens the scene, and compiles.
+    opens the scene, and compiles. With labels, the first time there are SURVEYED at least, since few say little.
     """
     requests, folder = batch.requests, batch.folder
     n_scenes, n_part = len(requests.job.scenes), len(batch.manifest.numbers(0))
     # of each scene a chunk at least, since few pings have more than their share of what a part needs once
     n_each = min(n_part, max(CHUNK_PINGS, -(-n_part // n_scenes)))
-    seconds, sizes, numbers = [], [], []
+    seconds, sizes, numbers, weights, seen = [], [], [], [], []
     for scene in range(n_scenes):
         picked = _spread_numbers(requests, scene, n_each)
-        batch.maker.make_sample(picked, report)
+        if requests.job.labels is None:
+            batch.maker.make_sample(picked, report)
+        else:
+            seen += _see_classes(batch, scene, max(n_each, SURVEYED), report)
         begin_s = time.perf_counter()
         record = batch.maker.make_sample(picked, report)
         seconds.append((time.perf_counter() - begin_s) / len(picked))
         sizes.append(sum(folder.fs.size(folder.path(name)) for name in record.files) / len(picked))
         numbers += picked
-    # scenes have equally many pings
-    return Cost(sum(seconds) / n_scenes, sum(sizes) / n_scenes, tuple(sorted(numbers)))
+        weights.append(sum(len(run.numbers) for run in requests.runs if run.scene == scene))
+    means = np.average([seconds, sizes], axis=1, weights=weights).tolist()
+    return DryRun(*means, tuple(sorted(numbers)), seen)
+
+
+def _see_classes(batch: Batch, scene: int, count: int, report: Report) -> list[SeenClasses]:
+    """Make so many pings spread over those of a scene, and return how often each sonar sees each class."""
+    numbers, n_part = _spread_numbers(batch.requests, scene, count), len(batch.manifest.numbers(0))
+    labelled = LabelledBins(batch.requests, batch.schema, batch.folder)
+    batch.maker.outputs.append(labelled)
+    for first in range(0, len(numbers), n_part):
+        batch.maker.make_sample(numbers[first : first + n_part], report)
+    batch.maker.outputs.remove(labelled)  # a batch does not spend time on it
+    return [_seen_classes(batch, scene, sonar, bins) for sonar, bins in labelled.counts.items()]
+
+
+def _seen_classes(batch: Batch, scene: int, sonar: str, bins: list[np.ndarray]) -> SeenClasses:
+    """Return in how many pings the classes are seen, given the bins of each class in each ping."""
+    schema, counts, found = batch.schema, np.array(bins), []
+    n_bodies = len(batch.requests.scene(scene).bodies)
+    for number in sorted({*schema.scene_class_id(scene)[1 : 1 + n_bodies].tolist()} - {0}):
+        where_seen = counts[counts[:, number] > 0, number]
+        median = int(np.median(where_seen)) if len(where_seen) else 0
+        found.append(SeenClass(schema.classes[number - 1], len(where_seen), median))
+    return SeenClasses(scene, sonar, len(bins), sorted(found, key=lambda one: one.n_pings))
 
 
 class HardView(NamedTuple):
@@ -236,7 +287,7 @@ STEPS = {
     "begin": begin,
     "create": create_store,
     "make": make_part,
-    "measure": measure_cost,
+    "try": try_pings,
     "survey": survey,
     "finalize": finalize,
 }

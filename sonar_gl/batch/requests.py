@@ -119,7 +119,7 @@ class BatchRequests(Sequence):
     sonars : name -> Sonar, in the order of the job
     mounts : name -> (4, 4) vehicle_from_sonar
     acoustics, noise : those of the job, before variation
-    runs : the runs of the job, in order: along each trajectory, one for each scene
+    runs : the runs of the job, in order: along each trajectory, one for each of its scenes
 
     Raises
     ------
@@ -142,7 +142,7 @@ class BatchRequests(Sequence):
                 self.counts(output)  # raises an Error if they do not go with the law of a sonar
         if job.ros is not None:
             _check_times_for_bag(job, trajectories)
-        self.runs = _runs(trajectories, len(job.scenes))
+        self.runs = _runs(trajectories, _scenes_of_poses(job))
         _check_last_time(job, self.runs[-1])
         self._starts = [run.numbers.start for run in self.runs]
         self._scenes, self._moved_names, self._apart_groups, self._files = {}, {}, {}, {}
@@ -216,10 +216,12 @@ class BatchRequests(Sequence):
         bodies, reflectivity = {}, {}
         known = self.bodies_and_plumes(scene)
         for k, table in enumerate(self.job.vary.bodies):
-            for group in self._moved_groups(scene, k):
+            groups = self._moved_groups(scene, k)
+            chosen = _draw_whole(random, [0, len(groups) - 1]) if table.one_of and groups else None
+            for n, group in enumerate(groups):
                 draws = np.array([_draw(random, getattr(table, key)) for key in SHIFT_AND_TURN])
                 shift, turn = np.split(draws, 2)
-                is_present = random.random() < table.there
+                is_present = random.random() < table.there and chosen in (None, n)
                 mu = None if table.reflectivity is None else _draw(random, table.reflectivity)
                 for name in group:  # of two tables the later one counts, also where it changes nothing
                     bodies.pop(name, None)
@@ -304,12 +306,12 @@ class BatchRequests(Sequence):
         return self._moved_names[scene, table]
 
     def _moved_groups(self, scene: int, table: int) -> list[list[str]]:
-        """Return the bodies of a scene that a table moves, those that move together in one list.
+        """Return the bodies of a scene that a table moves or chooses from, those that move together in one list.
 
         A model whose name a pattern matches moves as a whole, the outermost of several: a fish with its tail.
         """
         names, moved = self.moved_names(scene, table), self.job.vary.bodies[table]
-        if not moved.apart:
+        if not (moved.apart or moved.one_of):
             return [names]
         if (scene, table) not in self._apart_groups:
             # a body of MuJoCo is a model, too, whose parts are named after it
@@ -374,11 +376,34 @@ def _draw_whole(random, value) -> int:
     return min(int(_draw(random, [low, high + 1])), high)  # rounding may give the upper bound of the draw
 
 
-def _runs(trajectories: list[Trajectory], n_scenes: int) -> list[TrajectoryRun]:
-    """Return the runs of a job. Each begins GAP_S after the one before has ended."""
+def _scenes_of_poses(job: Job) -> list[list[int]]:
+    """Return the scenes of each table of poses, by rising number: those that it names, by default all.
+
+    Raises Error for a name that is no scene of the job, and for a scene that no table names.
+    """
+    found = []
+    for k, table in enumerate(job.poses):
+        names, where = table.get("scenes", job.scenes), f"{job.where}: poses[{k}].scenes"
+        if not isinstance(names, list) or not names:
+            raise Error(
+                f"{where} must be a list of scenes (got {shown(names)}; leave it out for all scenes of the job)"
+            )
+        for name in names:
+            check_choice("scene", name, job.scenes, where)
+        found.append([scene for scene, name in enumerate(job.scenes) if name in names])
+    for scene in sorted(set(range(len(job.scenes))).difference(*found)):
+        raise Error(
+            f"{job.where}: scenes[{scene}] must have poses (got {job.scenes[scene]!r}, which no table of poses has in "
+            "its scenes; name it in one, or leave it out)"
+        )
+    return found
+
+
+def _runs(trajectories: list[Trajectory], scenes: list[list[int]]) -> list[TrajectoryRun]:
+    """Return the runs of a job, of each trajectory in its scenes. Each begins GAP_S after the one before has ended."""
     runs, first, delay_s, last_s = [], 0, 0.0, None
-    for trajectory in trajectories:
-        for scene in range(n_scenes):
+    for trajectory, in_scenes in zip(trajectories, scenes, strict=True):
+        for scene in in_scenes:
             if last_s is not None:
                 delay_s = last_s + GAP_S - trajectory[0][0]
             runs.append(TrajectoryRun(scene, trajectory, range(first, first + len(trajectory)), delay_s))

@@ -23,7 +23,7 @@ from sonar_gl.batch.manifest import (
     part_records,
     recorded_parts,
 )
-from sonar_gl.batch.parts import Batch, HardView
+from sonar_gl.batch.parts import Batch, HardView, SeenClasses
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.cores import count_cores
@@ -32,7 +32,9 @@ from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.extent import millimetres_text
 from sonar_gl.scene.scene import Scene
 
-HARDEST = 3  # views of each scene and sonar that a dry run names
+# of each scene and sonar, a dry run names so many
+HARDEST = 3  # views
+RAREST = 10  # classes
 
 
 @dataclass
@@ -271,7 +273,7 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         manifest = pool.call("begin")
         manifest.save(Folder(url))
         pool.call("create")
-        cost = pool.call("measure")
+        tried = pool.call("try")
         surveys = [pool.call("survey", scene) for scene in range(len(job.scenes))]
     n, lines = manifest.n_pings, []
     for run in requests.runs:
@@ -284,18 +286,19 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         for name, sonar in requests.sonars.items():
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
             lines += _views_text(size, [view for view in views if view.sonar == name], requests)
+            lines += [_seen_text(one) for one in tried.seen if (one.scene, one.sonar) == (scene, name)]
         if text := millimetres_text(requests.scene(scene)):
             report(f"warning: {job.scenes[scene]}: {text}")
     parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
     lines.append(f"{n} pings in {parts}")
-    size = _amount(n * cost.bytes_per_ping)
-    lines.append(f"size: {size} ({cost.bytes_per_ping / 1e3:.0f} kB a ping)")
-    one_s, processes = n * cost.seconds_per_ping, min(len(devices), manifest.n_parts)
-    best_s = _busiest_pings(manifest, processes) * cost.seconds_per_ping
+    size = _amount(n * tried.bytes_per_ping)
+    lines.append(f"size: {size} ({tried.bytes_per_ping / 1e3:.0f} kB a ping)")
+    one_s, processes = n * tried.seconds_per_ping, min(len(devices), manifest.n_parts)
+    best_s = _busiest_pings(manifest, processes) * tried.seconds_per_ping
     lines.append(
-        f"speed: {1 / cost.seconds_per_ping:.3g} pings a second in one process ({1e3 * cost.seconds_per_ping:.1f} ms a "
-        f"ping, on {manifest.system.gl_renderer}; measured on this machine by "
-        f"{_numbers_text(cost.numbers)}, after all was compiled)"
+        f"speed: {1 / tried.seconds_per_ping:.3g} pings a second in one process ({1e3 * tried.seconds_per_ping:.1f} ms "
+        f"a ping, on {manifest.system.gl_renderer}; measured on this machine by "
+        f"{_numbers_text(tried.numbers)}, after all was compiled)"
     )
     lines.append(
         f"time: {_duration(one_s)} for all pings in one process, {_duration(best_s)} at best in {processes}, if each "
@@ -348,6 +351,22 @@ def _views_text(size: str, views: list[HardView], requests: BatchRequests) -> li
             f"{_pose_text(pose)} ('sonar-gl render --pose' says why)"
         )
     return lines
+
+
+def _seen_text(seen: SeenClasses) -> str:
+    """Return a line on how often the classes are seen.
+
+    >>> from sonar_gl.batch.parts import SeenClass
+    >>> _seen_text(SeenClasses(0, "p900_45", 16, [SeenClass("diver", 0, 0), SeenClass("box", 9, 210)]))
+    '  labels of 16 pings, with the median of their bins: diver in none, box in 9 (210)'
+    """
+    texts = [
+        f"{one.name} in {one.n_pings} ({one.median_bins})" if one.n_pings else f"{one.name} in none"
+        for one in seen.classes
+    ]
+    more = f", and {len(texts) - RAREST} more" if len(texts) > RAREST else ""
+    rarest = ", ".join(texts[:RAREST]) or "no class"
+    return f"  labels of {seen.n_pings} pings, with the median of their bins: {rarest}{more}"
 
 
 def _pose_text(pose: np.ndarray) -> str:

@@ -399,7 +399,7 @@ def build_trajectory(table: Mapping, file: str, index: int = 0) -> Trajectory:
 
     Parameters
     ----------
-    table : `kind`, a key of KINDS, and the settings of that kind
+    table : `kind`, a key of KINDS, and the settings of that kind; `scenes`, which decides no pose, is ignored
     file, index : name of the job file and index of the table, for messages
 
     Raises
@@ -412,7 +412,8 @@ def build_trajectory(table: Mapping, file: str, index: int = 0) -> Trajectory:
     kind = settings.pop("kind", None)
     if not isinstance(kind, str) or kind not in KINDS:
         raise Error(f"{where}: kind must be one of {', '.join(KINDS)} (got {kind!r})")
-    check_keys(KINDS[kind], settings, where)
+    settings.pop("scenes", None)
+    check_keys(KINDS[kind], settings, where, also=("scenes",))
     try:
         return KINDS[kind](**settings)
     except ValidationError as why:

@@ -30,7 +30,7 @@ from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
-from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, whole_rows
+from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, sector_table, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector
 from sonar_gl.sonar.sonar import Sonar
@@ -62,6 +62,19 @@ class BeamEcho:
         if other.total:
             np.add(self.intensity, other.intensity, out=self.intensity)
         return BeamEcho(self.intensity, self.total + other.total)
+
+
+class _ImageOfSectors(NamedTuple):
+    """Samples of some sectors, side by side.
+
+    Attributes
+    ----------
+    arrays : image, spans of bodies and sectors, as `kernels.column_sums.sum_footprints` takes them
+    sectors : numbers of the sectors, and one past the last
+    """
+
+    arrays: tuple
+    sectors: slice
 
 
 class BodySums(NamedTuple):
@@ -224,6 +237,7 @@ class Beamformer:
             (_half_of(n_columns, half), tuple(n_columns + end for end in _half_of(n_wide, half)))
             for half in (0, 1)
         )
+        self._shared = _parts_of_wide_columns(edges, n_columns)
         self._has_gaps = is_box and not received.all()
         if n_wide:
             received = np.append(received, np.logical_or.reduceat(received, edges[:-1]))
@@ -231,6 +245,9 @@ class Beamformer:
             [_strips_within(sector.strips, half, received) for sector in fan.sectors] for half in self._halves
         )
         self._wide_shares = fan.wide_shares
+        self._all_strips = tuple(_joined_strips(strips) for strips in self.strips)
+        self._last_rows = None, 0.0
+        self._strips_per_column = np.array([len(one.strips.middle) / one.columns for one in fan.sectors])
 
     @cached_property
     def mirrored_strips(self) -> tuple:
@@ -283,7 +300,7 @@ class Beamformer:
         """Bytes of its tables, about."""
         # those of the columns are kept to make the labeller, which has tiles of its own
         weights = 3 * self._tiles[1].nbytes + (self._far.n_bytes if self._far else 0)
-        return weights + sum(a.nbytes for half in self.strips for strips in half for a in strips[:-1])
+        return weights + 2 * sum(a.nbytes for half in self.strips for strips in half for a in strips[:-1])
 
     def _column_sums(self, n_wide_columns: int = 0) -> ColumnSums:
         """Return the room for sums, one for all: it holds what was summed last."""
@@ -298,12 +315,21 @@ class Beamformer:
 
     def share_wide_columns(self, columns: ColumnSums) -> None:
         """Add the sums of wide columns to those of their columns."""
-        if self.fan.n_wide_columns:
-            share_wide_columns(self.fan.wide_edges, self._wide_shares, columns.all_sums, columns.all_spans)
+        for part in self._shared:
+            self._share_wide_columns(part, columns)
+
+    def _share_wide_columns(self, part: tuple[int, int], columns: ColumnSums) -> None:
+        """Do it for some of them."""
+        if part[0] < part[1]:
+            shares = self._wide_shares, columns.all_sums, columns.all_spans
+            share_wide_columns(part, self.fan.wide_edges, *shares)
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
-        return self._with_bubbles(self.sum_footprints(view.sectors, gain, view.body_spans), view, gain)
+        images = (
+            self._images_of(view.sectors, view.body_spans) if view.table is None else [self._image_of(view)]
+        )
+        return self._with_bubbles(self.weigh(self._sum_images(images), gain), view, gain)
 
     def _with_bubbles(self, surfaces: BeamEcho, view: ViewSamples, gain) -> BeamEcho:
         return surfaces if view.bubbles is None else surfaces.with_more(self.sum_points(view.bubbles, gain))
@@ -312,26 +338,38 @@ class Beamformer:
         self, samples: Sequence[SectorSamples], gain=NO_GAIN, body_spans: np.ndarray = NO_SPANS
     ) -> BeamEcho:
         """Return the echo of surfaces, times the (K,) float32 gain; body_spans : of `ViewSamples`."""
-        return self.weigh(self._sum_footprints(samples, body_spans), gain)
+        return self.weigh(self._sum_images(self._images_of(samples, body_spans)), gain)
 
-    def _sum_footprints(self, samples: Sequence[SectorSamples], body_spans: np.ndarray) -> ColumnSums:
-        """Return the sums of surfaces in columns."""
-        of_sectors = [
-            (
-                *(whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id)),
+    def _image_of(self, view: ViewSamples) -> _ImageOfSectors:
+        """Return the image of a view, which holds all sectors side by side."""
+        spans = view.body_spans if view.body_id.size else NO_SPANS
+        n = len(self.fan.sectors)
+        return _ImageOfSectors((view.plane_echo, view.face_id, view.body_id, spans, view.table), slice(n + 1))
+
+    def _images_of(self, samples: Sequence[SectorSamples], body_spans: np.ndarray) -> list[_ImageOfSectors]:
+        """Return the samples of each sector as an image of its own."""
+        out = []
+        for number, (_, one) in enumerate(zip(self.fan.sectors, samples, strict=True)):
+            arrays = (whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id))
+            spans, table = (
                 body_spans if one.body_id.size else NO_SPANS,
-                one.lattice,
+                tuple(sector_table([one.sector], [0])),
             )
-            for one in samples
-        ]
+            out.append(_ImageOfSectors((*arrays, spans, table), slice(number, number + 2)))
+        return out
+
+    def _sum_images(self, images: Sequence[_ImageOfSectors]) -> ColumnSums:
+        """Return the sums of surfaces in columns."""
         columns = self._column_sums()
 
         def work(half):
             self.clear_columns(half, columns)
-            for one, strips in zip(of_sectors, self.strips[half], strict=True):
+            first_strip, strips = self._all_strips[half]
+            for arrays, sectors in images:
                 sum_footprints(
                     self._workspace.works[half],
-                    *one,
+                    *arrays,
+                    first_strip[sectors],
                     strips,
                     self._bins,
                     self._spread,
@@ -339,10 +377,20 @@ class Beamformer:
                     columns.all_sums,
                     columns.all_spans,
                 )
+            self._share_wide_columns(self._shared[half], columns)
 
-        self._run(work, self._rows(samples) < FEW_ROWS)
-        self.share_wide_columns(columns)
+        self._run(work, sum(self._strip_rows(table, sectors) for (*_, table), sectors in images) < FEW_ROWS)
+        self._share_wide_columns(self._shared[2], columns)
         return columns
+
+    def _strip_rows(self, table: tuple, sectors: slice) -> float:
+        """Return about how many rows of strips some sectors have; kept, since the samples of pings often lie alike."""
+        last = self._last_rows
+        if last[0] is not table:
+            places = table[0]
+            n_rows = self._strips_per_column[sectors][: len(places)] @ (places[:, 1] * places[:, 2])
+            last = self._last_rows = table, float(n_rows)
+        return last[1]
 
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
@@ -433,7 +481,7 @@ class Beamformer:
         mask, unshadowed = None, None
         if background is not None:
             mask, view = background
-            columns = self._sum_footprints(view.sectors, view.body_spans)
+            columns = self._sum_images(self._images_of(view.sectors, view.body_spans))
             # labels know no far side lobes
             unshadowed, _ = self._weigh_support(columns, self._tiles, NO_GAIN)
         run = partial(self._run, serial=bodies.is_little)
@@ -460,8 +508,7 @@ class Beamformer:
         """Return beams as weighted sums of the columns."""
         if self._far is None:
             return BeamEcho(*self._weigh_support(columns, self._tiles, gain))
-        out, _ = self._weigh_support(columns, tuple(self._far.near), gain)
-        return BeamEcho(out, self._add_far_lobes(columns, out, gain))
+        return self._weigh_all(columns, self._far, gain)
 
     def _weigh_support(self, columns: ColumnSums, tiles: tuple, gain) -> tuple[np.ndarray, float]:
         """Return (B, K) beams as weighted sums of the columns in the support of their patterns, and their sum."""
@@ -470,44 +517,61 @@ class Beamformer:
         def work(half):
             totals[half] = weigh_columns(columns.sums, columns.spans, tiles, self._parts[half], gain, out)
 
-        bins = count_bins(columns.spans) / len(columns.spans)
-        self._run(work, tiles[1].size * bins < FEW_PRODUCTS)
+        n_bins, _, _ = count_bins(columns.spans)
+        self._run(work, tiles[1].size * n_bins / len(columns.spans) < FEW_PRODUCTS)
         return out, sum(totals)
 
-    def _add_far_lobes(self, columns: ColumnSums, out: np.ndarray, gain) -> float:
-        """Add to beams what they receive by far side lobes; return the sum of all."""
-        far, totals = self._far, [0.0, 0.0]
-        used = columns.spans[columns.spans[:, 0] < columns.spans[:, 1]]
-        if not len(used):
-            return 0.0
-        span = int(used[:, 0].min()), int(used[:, 1].max())
-        condense, couple, K = tuple(far.condense), tuple(far.couple), out.shape[1]
+    def _weigh_all(self, columns: ColumnSums, far: FarLobes, gain) -> BeamEcho:
+        """Return beams as weighted sums of the columns in their support and of those in far side lobes.
+
+        In two steps: to hand half of one over takes as long as a third of its work.
+        """
+        out, totals = self._pool.empty(), [0.0, 0.0]
+        n_bins, first, past = count_bins(columns.spans)
+        near, condense, couple = tuple(far.near), tuple(far.condense), tuple(far.couple)
         n_condense, n_couple = (TILE_BEAMS * len(tiles[0]) for tiles in (condense, couple))
-        of_columns, of_beams = self._workspace.moments(n_condense, n_couple, K)
-        spans = np.tile(span, (n_condense, 1))
+        of_columns, of_beams = self._workspace.moments(n_condense, n_couple, out.shape[1])
+        spans = np.empty((n_condense, 2), np.int64)
+        spans[:] = first, past
 
         def sum_columns(half):
+            weigh_columns(columns.sums, columns.spans, near, self._parts[half], gain, out)
             tiles = _half_of(len(condense[0]), half)
             weigh_columns(columns.sums, columns.spans, condense, tiles, NO_GAIN, of_columns)
 
-        def spread(half):
-            tiles = _half_of(len(couple[0]), half)
-            weigh_columns(of_columns, spans, couple, tiles, NO_GAIN, of_beams)
-
         def add(half):
-            beams = _half_of(len(out), half)
-            totals[half] = add_far_lobes(of_beams, far.first_moment, far.expansion, beams, span, gain, out)
+            beams, tiles = far.halves[half]
+            weigh_columns(of_columns, spans, couple, tiles, NO_GAIN, of_beams)
+            moments = of_beams, far.first_moment, far.expansion
+            totals[half] = add_far_lobes(*moments, beams, (first, past), gain, out)
 
-        is_little = far.products * (span[1] - span[0]) < FEW_PRODUCTS
-        for work in (sum_columns, spread, add):
-            self._run(work, is_little)
-        return sum(totals)
+        n_bins /= len(columns.spans)
+        self._run(sum_columns, (near[1].size + condense[1].size) * n_bins < FEW_PRODUCTS)
+        if first < past:
+            self._run(add, (couple[1].size + far.expansion.size) * (past - first) < FEW_PRODUCTS)
+        return BeamEcho(out, sum(totals))
 
 
 def _half_of(n: int, half: int) -> tuple[int, int]:
     """Return first and past the last of n things that are done by a half."""
     middle = (n + 1) // 2
     return (middle, n) if half else (0, middle)
+
+
+def _parts_of_wide_columns(wide_edges, n_columns: int) -> tuple[tuple[int, int], ...]:
+    """Return first and past the last wide columns whose columns are in the same half, of each half, and of the others.
+
+    Wide columns are counted on from the columns.
+
+    >>> _parts_of_wide_columns(np.array([0, 2, 4, 7, 9]), 9)
+    ((9, 11), (12, 13), (11, 12))
+    """
+    n_wide, middle = len(wide_edges) - 1, _half_of(n_columns, 0)[1]
+    wide = _half_of(n_wide, 0)[1]
+    first = min(wide, int(np.searchsorted(wide_edges, middle, side="right")) - 1)
+    past = min(max(wide, int(np.searchsorted(wide_edges, middle))), n_wide)
+    parts = (0, first), (past, n_wide), (first, past)
+    return tuple((n_columns + begin, n_columns + end) for begin, end in parts)
 
 
 def _strips_within(strips, half: Sequence[tuple[int, int]], received) -> tuple:
@@ -522,6 +586,18 @@ def _within(arrays, are_cones: bool, half: Sequence[tuple[int, int]]) -> tuple:
     column = arrays[0]
     mine = np.logical_or.reduce([(first <= column) & (column < last) for first, last in half])
     return *(one[mine] for one in arrays), are_cones
+
+
+def _joined_strips(strips: Sequence[tuple]) -> tuple[np.ndarray, tuple]:
+    """Return the strips of several sectors as one plain StripTable, after where those of each begin, and past the last.
+
+    Parameters
+    ----------
+    strips : plain StripTable of each sector
+    """
+    first = np.cumsum([0, *(len(arrays[0]) for arrays in strips)], dtype=np.int64)
+    columns = (np.concatenate(one) for one in zip(*(arrays[:-1] for arrays in strips), strict=True))
+    return first, (*columns, strips[0][-1])
 
 
 def _union_of_strips(sector: Sector, tables: Sequence[StripTable]) -> np.ndarray:

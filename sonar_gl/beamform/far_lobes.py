@@ -144,10 +144,16 @@ class FarLobes:
         tiles = self.near, self.condense, self.couple
         return sum(one.weights.nbytes for one in tiles) + self.expansion.nbytes
 
-    @property
-    def products(self) -> int:
-        """Products in each bin, besides those of the support."""
-        return self.condense.weights.size + self.couple.weights.size + self.expansion.size
+    @cached_property
+    def halves(self) -> tuple[tuple[tuple[int, int], tuple[int, int]], ...]:
+        """Of each half of the beams first and past the last of them, and of the tiles of `couple` that it expands.
+
+        Beams of one block are in one half, so that none is coupled twice.
+        """
+        n_beams, n_tiles = len(self.first_moment), len(self.couple.first)
+        middle = int(np.searchsorted(self.first_moment, self.first_moment[(n_beams - 1) // 2], side="right"))
+        tile = n_tiles if middle == n_beams else int(self.first_moment[middle]) // TILE_BEAMS
+        return ((0, middle), (0, tile)), ((middle, n_beams), (tile, n_tiles))
 
 
 def make_lobe_blocks(pattern: FarPattern, axes_rad, ends_rad) -> LobeBlocks | None:

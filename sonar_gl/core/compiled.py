@@ -223,6 +223,33 @@ def as_table(_typing_context, array, n_rows, n_columns):
     return table(array, n_rows, n_columns), generate
 
 
+@intrinsic
+def from_column(_typing_context, image, column, n_rows):
+    """Return so many rows of an image from a column on, each as long as those of the image, as `whole_rows` does.
+
+    Kernels that take a window as an array are compiled for contiguous ones. The last row ends past the image.
+    """
+    if not (isinstance(image, types.Array) and image.layout == "C" and image.ndim > 1):
+        return None
+
+    def generate(context, builder, _signature, arguments):
+        out, column, n_rows = arguments
+        part = context.make_array(image)(context, builder, out)
+        shape = cgutils.unpack_tuple(builder, part.shape, image.ndim)
+        strides = cgutils.unpack_tuple(builder, part.strides, image.ndim)
+        place = cgutils.pointer_add(builder, part.data, builder.mul(column, strides[1]), part.data.type)
+        fields = context.data_model_manager[image]
+        n_items = n_rows
+        for n in shape[1:]:
+            n_items = builder.mul(n_items, n)
+        shape = cgutils.pack_array(builder, [n_rows, *shape[1:]])
+        for name, value in (("data", place), ("shape", shape), ("nitems", n_items)):
+            out = builder.insert_value(out, value, fields.get_field_position(name))
+        return impl_ret_borrowed(context, builder, image, out)
+
+    return image(image, types.intp, types.intp), generate
+
+
 class _Announcement(event.Listener):
     """A listener that prints a line when Numba compiles the first function of this process."""
 

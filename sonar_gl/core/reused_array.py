@@ -7,7 +7,8 @@ import numpy as np
 # It is made so many times larger than needed: the system provides memory only for what is used. It is replaced by a
 # smaller one where so many uses in a row have needed less than one of MAX_ROWS_PER_NEEDED rows, or else coarse pings
 # would keep the memory of a fine one; not below MIN_KEPT rows. The sectors of a ping take turns, and those of side
-# lobes need few rows: a smaller array at once would be replaced by a larger one in each ping.
+# lobes need few rows: a smaller array at once would be replaced by a larger one in each ping. Under "When memory is
+# given back" docs/architecture.md says why there are other rules, too.
 RESERVE, MAX_ROWS_PER_NEEDED, MIN_KEPT, USES_BEFORE_SMALLER = 2, 4, 1 << 16, 256
 MAX_KEPT_ROWS = 1 << 18
 

@@ -40,8 +40,8 @@ BESIDE_DIRECT = 0.7
 # data set, whose samples were chosen, is to be made again by giving these.
 USUAL_DIRECT_ERROR = 0.8
 MIN_SHARE = 0.015  # bodies whose multipath may be more of the direct echo count by themselves
-# A body whose multipath may count keeps about so many samples: if a small one were missed, its multipath would seem to
-# be weak, and the samples to suffice.
+# A body whose multipath may count keeps about so many samples, in the direct view and where its image should be: if a
+# small one were missed, its multipath would seem to be weak, and the samples to suffice.
 LEAST_ON_BODY = 16
 
 
@@ -245,10 +245,10 @@ class ImageSampling:
         error : `known` of `_expected_error`
         """
         share, images = times * echo.share, echo.images
-        # a body that the images missed has about as many samples in the direct view
-        direct = images.direct
-        counts = MULTIPATH_GAIN * direct.echo > MIN_SHARE * direct.echo.sum()
-        fewest = min(direct.samples[counts].min(initial=math.inf), direct.samples.sum())
+        direct, fewest = images.direct, images.direct.samples.sum()
+        for of_view in (direct, images.expected):
+            counts = MULTIPATH_GAIN * of_view.echo > MIN_SHARE * direct.echo.sum()
+            fewest = min(of_view.samples[counts].min(initial=math.inf), fewest)
         # what the direct echo leaves of the tolerance is multipath's
         most = self._tolerance * (1 + (1 - USUAL_DIRECT_ERROR) / max(share, 1e-30))
         finest = _finest_for(images)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
-from sonar_gl.beamform.kernels.image_sources import SAME_PLANE, Reflection, estimate_reflection
+from sonar_gl.beamform.kernels.image_sources import SAME_PLANE, Reflection, estimate_reflection, expect_imaged
 from sonar_gl.beamform.kernels.views import ViewIndex, view_index
 from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.engine.stage import Stage, StageCache
@@ -24,7 +24,7 @@ from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.fan import ColumnWidths
-from sonar_gl.sonar.samples import SectorSamples, ViewSamples
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
 from sonar_gl.sonar.sampling import MAX_COLUMNS_PER_BEAM, MAX_ROWS
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
@@ -38,6 +38,7 @@ MULTIPATH_GAIN = 3.0  # an echo may meet the reflector on its way out, on its wa
 # Samples of a view, about, on which bodies are counted: where a tolerance asks for ten times as many, it asks for so
 # many on each body that none lies between the rows that are counted.
 COUNTED = 1 << 16
+EXPECTED = 1 << 13  # likewise, by which it is computed how many samples the images should have on each body
 
 
 class Thinning(NamedTuple):
@@ -138,6 +139,8 @@ class ImageSourceSamples:
     ----------
     halvings : how often rows were halved for them
     direct : BodySamples of the direct view, by number
+    expected : BodySamples that the images should have, one after the other, if nothing hid from them what the sonar
+        sees, and none was halved; the echo is that of one way by the image
     imaged : BodySamples of the views of the images, one after the other, as if none was halved
     single_bounce : intensity of the two ways of a single-bounce echo together, over that of one
     own, image : Stage of the sonar and of its images
@@ -146,6 +149,7 @@ class ImageSourceSamples:
 
     halvings: int
     direct: BodySamples
+    expected: BodySamples
     imaged: BodySamples
     single_bounce: float
     own: Stage
@@ -261,9 +265,15 @@ class ImageSources:
         direct = [coarser.direct] if coarser is not None else counts[len(found) :]
         for number, own_view, of_direct in zip(numbers, own_views, direct, strict=True):
             mine = [k for k, one in enumerate(found) if one.number == number]
+            if coarser is not None:
+                expected = coarser.expected
+            else:
+                planes = [found[k].plane for k in mine]
+                expected = self._expect_bodies(stage, views[number], indices[number], planes, of_direct)
             out[number] = ImageSourceSamples(
                 halvings=halvings,
                 direct=of_direct,
+                expected=expected,
                 imaged=BodySamples(
                     samples=np.concatenate([counts[k].samples * times_fewer for k in mine]),
                     echo=np.concatenate([counts[k].echo for k in mine]),
@@ -331,6 +341,34 @@ class ImageSources:
         halves = run_halves(self._thread, lambda half: [count(*one) for one in views[half::2]])
         counts[::2], counts[1::2] = halves
         return counts
+
+    def _expect_bodies(
+        self,
+        stage: Stage,
+        view: ViewSamples,
+        index: ViewIndex,
+        planes: Sequence[np.ndarray],
+        direct: BodySamples,
+    ) -> BodySamples:
+        """Return `ImageSourceSamples.expected` of the sonar's images behind some planes.
+
+        A body on which no sample is read counts as in the direct view.
+
+        view, index, direct : of the sonar
+        """
+        step = max(1, math.isqrt(sum(one.body_id.size for one in view.sectors) // EXPECTED))
+        range_max_m, pattern = stage.fan.sonar.range_max_m, stage.beamformer.elevation_table
+        sums = np.zeros((len(planes), 4, len(direct.samples)))
+        for one in view.sectors:
+            if not one.plane_echo.size:  # no body lies in it
+                continue
+            arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
+            for plane, of_plane in zip(planes, sums, strict=True):
+                expect_imaged(arrays, one.lattice, index.sectors, plane, step, range_max_m, pattern, of_plane)
+        was_read, n_imaged, echo, one_way = np.moveaxis(sums, 1, 0)
+        times = np.divide(n_imaged, was_read, out=np.ones_like(echo), where=was_read > 0)
+        share = np.divide(one_way, echo, out=np.ones_like(echo), where=echo > 0)
+        return BodySamples((times * direct.samples).ravel(), (share * direct.echo).ravel())
 
     def _reflecting(self, pose, state: SceneState, index: ViewIndex, stage: Stage) -> list[tuple]:
         """Return the reflectors that may return more than the tolerance, one of each plane, each with it.

@@ -16,7 +16,7 @@ from sonar_gl.sonar.fan import SURFACE_MARGIN_M
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sonar import Sonar
 
-WIDEST_WEDGE_DEG = 90.0
+WIDEST_WEDGE_DEG = 30.0  # whose planar ends reach beyond the elevations of the fan by 3 % at most
 
 
 def why_no_echo(
@@ -115,9 +115,11 @@ def _nearest_beyond(scene: Scene, state: SceneState, pose, sonar: Sonar, top_deg
     from trimesh.triangles import closest_point
 
     n_wedges = math.ceil(sonar.azimuth_fov_deg / WIDEST_WEDGE_DEG)
-    half, top = np.radians([sonar.azimuth_fov_deg / 2 / n_wedges, top_deg])
+    half = math.radians(sonar.azimuth_fov_deg) / 2 / n_wedges
+    # at the highest elevation in the wedge's sides, above it between them
+    slope = math.tan(math.radians(top_deg)) / math.cos(half)
     inward = [[math.sin(half), math.cos(half), 0], [math.sin(half), -math.cos(half), 0]]
-    inward += [[math.sin(top), 0, math.cos(top)], [math.sin(top), 0, -math.cos(top)]]
+    inward += [[slope, 0, 1], [slope, 0, -1]]
     nearest_m = math.inf
     for _, vertices, wet_faces in _bodies_in_water(scene, state, pose):
         if not np.isfinite(vertices).all():

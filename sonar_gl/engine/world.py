@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import ChainMap
 from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,9 +18,10 @@ from sonar_gl.core.errors import Error, closed_error, other_process_error
 from sonar_gl.core.poses import MAX_TIME_S, check_pose
 from sonar_gl.core.worker import Job, SecondThread, ThreadLock
 from sonar_gl.raster.engine import RasterEngine, make_engine
+from sonar_gl.scene.grown_scene import GrownScene
 from sonar_gl.scene.kept_meshes import KeptMeshes
 from sonar_gl.scene.plume import Bubbles
-from sonar_gl.scene.scene import Body, Scene
+from sonar_gl.scene.scene import Body, Scene, check_added
 from sonar_gl.scene.state import SceneState
 
 IN_USE = (
@@ -62,8 +64,6 @@ class World:
 
     Attributes
     ----------
-    given_scene : Scene, of all bodies as they were given
-    scene : the same with copies of their meshes, which stay as they are drawn
     engine : RasterEngine, with their meshes; None once it is given back
     thread : SecondThread, which all simulators share
     gl_info : names and limits of what draws
@@ -80,14 +80,25 @@ class World:
         self.engine: RasterEngine | None = None
         self._lock, self._process = ThreadLock(IN_USE), os.getpid()
         self._kept_meshes = KeptMeshes()
-        self.given_scene, self.scene = scene, self._kept_meshes.scene(scene)
+        self._models = scene.models
+        self._given, self._kept = GrownScene(scene), GrownScene(self._kept_meshes.scene(scene))
         self._users, self.thread, self._jobs = set(), SecondThread(), WeakSet()
         self.n_changes, self._taking = 0, threading.local()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
         self._released = ReleasedBubbles(0.0, (), (), np.empty((0, 4)))  # of the last ping with any
         self.engine = make_engine(self.scene, engine, device, context)
         self.gl_info = self.engine.driver
-        self._indices = {body.name: index for index, body in enumerate(scene.bodies)}
+        self._indices: dict[str, int] = {}  # of the first bodies; see `_numbered`
+
+    @property
+    def given_scene(self) -> Scene:
+        """Scene of all bodies as they were given."""
+        return self._given.scene
+
+    @property
+    def scene(self) -> Scene:
+        """The same with copies of their meshes, which stay as they are drawn."""
+        return self._kept.scene
 
     def check_idle(self) -> None:
         """Raise an Error if this thread is in the middle of drawing."""
@@ -235,7 +246,8 @@ class World:
         """
         out, own = {}, {}
         for name in sorted(bodies, key=lambda name: str(name).count("::")):  # outer models before inner ones
-            pose, parts = bodies[name], self.scene.parts_of(name)
+            # the scene is not put together for this alone, as after each of many adds
+            pose, parts = bodies[name], self.scene.parts_of(name) if name in self._models else {}
             if not parts:
                 own[name] = pose
                 continue
@@ -245,12 +257,20 @@ class World:
         return out | own
 
     def _index_of(self, name, what: str, plumes=()) -> int:
-        if name not in self._indices:
+        indices = self._numbered()
+        if name not in indices:
             models = self.scene.models if what == "bodies" else ()
             empty = {model for model in models if not self.scene.parts_of(model)}
-            known = {*self._indices, *plumes, *models} - empty
+            known = {*indices, *plumes, *models} - empty
             raise unknown_body_error(name, known, f"{what} must be bodies of the scene", empty)
-        return self._indices[name]
+        return indices[name]
+
+    def _numbered(self) -> dict[str, int]:
+        """Return the index of each body by its name; those of bodies that were added since the last call are found."""
+        bodies, indices = self.engine.meshes.bodies, self._indices
+        for index in range(len(indices), len(bodies)):
+            indices[bodies[index].name] = index
+        return indices
 
     def _reflectivity(self, changed) -> np.ndarray:
         check_kind("reflectivity", changed, dict, 'such as {"diver": 0.2}')
@@ -275,13 +295,13 @@ class World:
         """
         for body in bodies:
             check_kind("body", body, Body | Bubbles, "such as sonar_gl.Body('box', mesh)")
-        n_before = len(self.scene.bodies)
-        given_scene, kept = self.given_scene.with_more(bodies), self._kept_meshes.bodies(bodies)
-        scene = self.scene.with_more(kept)
+        indices = self._numbered()
+        check_added(bodies, len(indices), ChainMap(indices, self._plume_poses))
+        kept = self._kept_meshes.bodies(bodies)
         contents = self.engine.with_more([body for body in kept if isinstance(body, Body)])
+        given_scene, scene = self._given.with_more(bodies), self._kept.with_more(kept)
         plume_poses = {body.name: body.pose for body in bodies if isinstance(body, Bubbles)}
-        indices = {body.name: index for index, body in enumerate(scene.bodies[n_before:], n_before)}
-        plume_poses, indices = self._plume_poses | plume_poses, self._indices | indices
+        plume_poses = self._plume_poses | plume_poses
         # compiled code would look for these bodies in the states of pings that lack them
         jobs = list(self._jobs)
         for job in jobs:
@@ -289,8 +309,8 @@ class World:
         for job in jobs:
             job.settle()
         # all in one step: an interrupt before it leaves the scene without these bodies
-        self.engine.contents, self.given_scene, self.scene, self._plume_poses, self._indices = (
-            contents, given_scene, scene, plume_poses, indices
+        self.engine.contents, self._given, self._kept, self._plume_poses = (
+            contents, given_scene, scene, plume_poses
         )  # fmt: skip
         self._count_change(bool(bodies))
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from sonar_gl.core.collector import CollectorPause
 from sonar_gl.core.errors import Error
-from sonar_gl.gl.functions import Functions
+from sonar_gl.gl.functions import Functions, one_object
 
 # The sonames: libraries without a version in their name come with development packages only.
 LIBRARIES = {"libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
@@ -157,7 +157,7 @@ class EglContext:
 
     def __init__(self, binding: Binding, destroy):
         egl = self._egl = library()
-        self.load_opengl_function = lambda name: egl.eglGetProcAddress(name.encode()) or 0
+        self.load_opengl_function = lambda name: one_object(egl.eglGetProcAddress(name.encode()) or 0)
         self.binding, self.destroy = binding, destroy
         self._before, self.is_gone = [], False
         self.gl, self._found = Functions(self.load_opengl_function), ctypes.c_uint()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from functools import cache
 
 import numpy as np
 
@@ -105,6 +106,15 @@ COLOR_BUFFER_BIT = 0x4000
 # The errors that can be raised on purpose; GL_OUT_OF_MEMORY cannot.
 INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_FRAMEBUFFER_OPERATION = 0x0500, 0x0501, 0x0502, 0x0506
 NO_ENUM, NO_NAME = 0xFFFF, 0xFFFFFFF0  # no capability, and no object, has such a number
+
+
+@cache
+def one_object(address: int) -> int:
+    """Return an address, the same object for equal ones.
+
+    moderngl never lets go of the addresses that a context finds for it: each new context would leave 670 more.
+    """
+    return address
 
 
 class Functions:

@@ -17,7 +17,7 @@ from sonar_gl.core.collector import CollectorPause
 from sonar_gl.core.errors import Error
 from sonar_gl.gl import egl
 from sonar_gl.gl.context import REQUIRED_GL, make_context
-from sonar_gl.gl.functions import RENDERER, Functions
+from sonar_gl.gl.functions import RENDERER, Functions, one_object
 from sonar_gl.gl.state_guard import StateGuard
 
 OPENGL_API, CONFIG_ID, NONE = 0x30A2, 0x3028, 0x3038
@@ -137,7 +137,8 @@ class HostContext:
     """
 
     def __init__(self, current: CurrentContext):
-        self.current, self.load_opengl_function, self.is_gone = current, current.address_of, False
+        self.current, self.is_gone = current, False
+        self.load_opengl_function = lambda name: one_object(current.address_of(name))
         self.gl, self.renderer, self.guard = current.gl, current.renderer, StateGuard(current.gl)
         # A sampler with a random border colour tells this context from a later one at the same address.
         self._sampler = ctypes.c_uint(0)

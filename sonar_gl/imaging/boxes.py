@@ -98,10 +98,18 @@ def body_map(ping: Ping, height: int = 800, quiet: Ping | None = None) -> np.nda
     It is 0 outside the fan, where no body has an echo, and outside the body's box. Parameters and errors are those of
     `boxes_of`.
     """
+    return body_map_and_bins(ping, height, quiet)[0]
+
+
+def body_map_and_bins(
+    ping: Ping, height: int = 800, quiet: Ping | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return `body_map`, and the number of the body whose box encloses each bin, (B, K) uint16, 0 for none."""
     geometry = _labelled_geometry(ping, height)
     out = np.zeros(ping.body_id.size + 1, np.uint16)  # cell −1, outside the fan, is the last one
-    _draw_inside(*_areas(ping, quiet, geometry.full_circle), out[:-1].reshape(ping.body_id.shape))
-    return out[nearest_cells(geometry, ping.body_id.shape, azimuth_key(ping))]
+    bins = out[:-1].reshape(ping.body_id.shape)
+    _draw_inside(*_areas(ping, quiet, geometry.full_circle), bins)
+    return out[nearest_cells(geometry, ping.body_id.shape, azimuth_key(ping))], bins
 
 
 def _areas(ping: Ping, quiet: Ping | None, full_circle: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -301,8 +301,8 @@ class FieldNoise:
 
     @cached_property
     def _scatterers(self) -> Scatterers | None:
-        """The few scatterers of the water; None if there are none, or no speckle."""
-        if self._ping.volume is None or not self._noise.speckle:
+        """The few scatterers of the water, which looks with speckle receive; None if there are none."""
+        if self._ping.volume is None:
             return None
         sonar = self._required("sonar", "the volume in which its water has scatterers")
         acoustics = self._required("acoustics", "the scatterers of its water")

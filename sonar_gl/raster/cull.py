@@ -316,3 +316,23 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
     if columns <= 0 or rows_drawn <= 0:
         return n, faces_of_all, 0, 0, 0, 0
     return n, faces_of_all, first_column, first_row, columns, rows_drawn
+
+
+@compiled
+def choose_in_sectors(tree, bodies, places, views, limits, chosen, found):
+    """Choose the patches that each of S sectors draws, in one call: handing arrays over takes as long as a small scene.
+
+    Parameters
+    ----------
+    tree, bodies, places : of `choose_patches`
+    views, limits : of each sector, tuples of SectorGeometry and DetailLimits, whose parts are stacked
+    chosen : (S, M, 2) int32, of each sector; overwritten
+    found : (S, 6) int64, overwritten with what `choose_patches` returns
+    """
+    near_m, far_m, range_max_m, error_per_m, echo_error = limits
+    for s in range(found.shape[0]):
+        view = (views[0][s], views[1][s], views[2][s], views[3][s], views[4][s], views[5][s], views[6][s])
+        own = near_m[s], far_m[s], range_max_m[s], error_per_m[s], echo_error[s]
+        one = choose_patches(tree, bodies, places, view, own, chosen[s])
+        for k in range(6):
+            found[s, k] = one[k]

@@ -6,9 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import fields
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.core.grown_array import Room
 from sonar_gl.raster.cull import (
     LOBE,
     PER_BODY,
@@ -17,6 +20,7 @@ from sonar_gl.raster.cull import (
     BodyPlaces,
     PatchTree,
     body_spans,
+    choose_in_sectors,
     choose_patches,
     place_bodies,
 )
@@ -25,6 +29,7 @@ from sonar_gl.raster.views import (
     BodiesInView,
     PatchesInView,
     SectorView,
+    SectorViews,
     Window,
     distance_before_plane,
 )
@@ -39,6 +44,21 @@ def _content(surface) -> tuple[int, ...]:
     return tuple(hash(array) for array in (surface.vertices, surface.faces) if isinstance(array, Hashable))
 
 
+class _KnownMesh(NamedTuple):
+    """What is kept of a mesh for more bodies that have it.
+
+    key : by which it is found
+    made_of : held, so that no other object has the id of one of these: a body may take another surface later
+    box : a row of each array of `BodyBoxes` but `order`
+    n_leaves : how many of its patches a sector may choose
+    """
+
+    key: tuple
+    made_of: tuple
+    box: tuple
+    n_leaves: int
+
+
 class SceneMeshes:
     """The bodies of a scene. Poses are float64 until they have been taken relative to the sonar.
 
@@ -48,7 +68,7 @@ class SceneMeshes:
 
     Attributes
     ----------
-    bodies : list of Body, in the order of their numbers
+    bodies : (n,) array of Body, in the order of their numbers
     state : SceneState, unless a ping has its own
     rows : (n, PER_BODY) float32, positions not filled in
     boxes : BodyBoxes
@@ -58,72 +78,94 @@ class SceneMeshes:
 
     def __init__(self, surface_z_m: float | None = None):
         self._surface_z_m, self.most_patches = surface_z_m, 0
-        self.bodies, self.state = [], SceneState(np.empty((0, 4, 4)), np.empty(0, bool))
+        self.bodies = np.empty(0, object)
+        self.state = SceneState(np.empty((0, 4, 4)), np.empty(0, bool))
         self.rows = np.empty((0, PER_BODY), np.float32)
-        self.boxes = BodyBoxes(
-            centres=np.empty((0, 3)),
-            bounds=np.empty((0, 2, 3)),
-            extremes=np.empty((0, EXTREMES, 3)),
-            closed=np.empty(0, np.int64),
-            roots=np.empty((0, 2), np.int64),
-            order=np.empty(0, np.int64),
-        )
+        self._columns = {
+            "centres": np.empty((0, 3)),
+            "bounds": np.empty((0, 2, 3)),
+            "extremes": np.empty((0, EXTREMES, 3)),
+            "closed": np.empty(0, np.int64),
+            "roots": np.empty((0, 2), np.int64),
+        }
         self.levels: dict[str, np.ndarray] = {}
-        self._tree, self._meshes, self._has_lobes = (), {}, False
+        self._tree, self._has_lobes = (), False
+        # Copies of this object share both. The place of a key counts if the mesh there has that key: it may be of a
+        # copy that nobody kept.
+        self._room, self._places = Room(), {}
+        self._meshes = np.empty(0, object)  # _KnownMesh of each mesh
 
     @property
     def reflectivity(self) -> np.ndarray:
         """(n,) float32 of bodies, 1 where each face has its own."""
         return self.rows[:, REFLECTIVITY]
 
+    @cached_property
+    def boxes(self) -> BodyBoxes:
+        """BodyBoxes; found when they are asked for, as the order of bodies is another one after each `add`."""
+        order = np.argsort(self._columns["closed"] == 0, kind="stable")
+        return BodyBoxes(**self._columns, order=order)
+
     def add(self, bodies) -> list:
         """Append bodies. Those that share a mesh share all that is made of it, unless it was changed meanwhile. A copy
-        made before stays as it is.
+        made before stays as it is. Takes no more time where there are many bodies.
 
         Returns
         -------
         the new meshes, `MeshWithLevels`, in the order of their vertices
         """
-        made, added, rows, meshes = [], [], [], dict(self._meshes)  # copies of this object have the old one
+        made, boxes, rows, new = [], [], [], {}
         n_patches = len(self.levels.get("skip", ()))
         for number, body in enumerate(bodies, len(self.bodies)):
             by_face = np.ndim(body.reflectivity) > 0
             made_of = body.surface, body.normals, body.reflectivity if by_face else None
             key = *map(id, made_of), _content(body.surface)
-            if key not in meshes:
+            known = self._known_mesh(key) or new.get(key)
+            if known is None:
                 one = mesh_with_levels(body)
                 end = n_patches + len(one.levels.skip)
-                # a body may take another surface later: held here, so that no other object has the id of the first
-                meshes[key] = made_of, (one.centre, one.bounds, one.extremes, one.closed, (n_patches, end))
+                box = one.centre, one.bounds, one.extremes, one.closed, (n_patches, end)
+                known = new[key] = _KnownMesh(key, made_of, box, int(one.levels.leaf.sum()))
                 n_patches = end
                 made.append(one)
-            added.append(meshes[key][1])
+            boxes.append(known.box)
+            self.most_patches += known.n_leaves
             mu = 1.0 if by_face else body.reflectivity
             rows.append([0.0] * 12 + [mu, number, body.specular, body.roughness_rad])
-        self._meshes = meshes
         self._append_levels(made)
-        if bodies:
-            self.rows = np.concatenate([self.rows, np.asarray(rows, self.rows.dtype)])
-            self._has_lobes = bool((self.rows[:, LOBE] > 0).any())
-            columns = (
-                np.concatenate([old, np.asarray(column, old.dtype)])
-                for old, column in zip(self.boxes, zip(*added, strict=True), strict=False)
-            )
-            boxes = BodyBoxes(*columns, order=self.boxes.order)
-            self.boxes = boxes._replace(order=np.argsort(boxes.closed == 0, kind="stable"))
-            poses = np.concatenate([self.state.poses, [body.pose for body in bodies]])
-            self.state = SceneState(poses, np.append(self.state.present, np.ones(len(bodies), bool)))
-            self.bodies = [*self.bodies, *bodies]
-            spans = (roots for *_, roots in added)
-            self.most_patches += int(sum(self.levels["leaf"][first:end].sum() for first, end in spans))
+        if not rows:
+            return made
+        self._places.update(zip(new, range(len(self._meshes), len(self._meshes) + len(new)), strict=True))
+        self._meshes = self._append("meshes", self._meshes, new.values())
+        rows = np.asarray(rows, self.rows.dtype)
+        self.rows = self._room.append("rows", self.rows, [rows])
+        self._has_lobes |= bool((rows[:, LOBE] > 0).any())
+        self._columns = {
+            name: self._room.append(name, old, [np.asarray(column, old.dtype)])
+            for (name, old), column in zip(self._columns.items(), zip(*boxes, strict=True), strict=True)
+        }
+        vars(self).pop("boxes", None)
+        state = self.state
+        poses = self._room.append("poses", state.poses, [[body.pose for body in bodies]])
+        present = self._room.append("present", state.present, [np.ones(len(bodies), bool)])
+        self.state = SceneState(poses, present)
+        self.bodies = self._append("bodies", self.bodies, bodies)
         return made
+
+    def _known_mesh(self, key: tuple) -> _KnownMesh | None:
+        """Return the mesh of a key; None for a new one."""
+        place = self._places.get(key, len(self._meshes))
+        known = self._meshes[place] if place < len(self._meshes) else None
+        return None if known is None or known.key != key else known
+
+    def _append(self, name: str, old: np.ndarray, things) -> np.ndarray:
+        """Return an array of objects and more of them."""
+        return self._room.append(name, old, [np.fromiter(things, object, len(things))])
 
     def _append_levels(self, made) -> None:
         """Append the patches of meshes."""
-        parts = {name: [column] for name, column in self.levels.items()}
-        parts = parts or {name: [] for name in LEVEL_FIELDS}
         n_patches, n_faces = len(self.levels.get("skip", ())), len(self.levels.get("faces", ()))
-        n_vertices = len(self.levels.get("vertices", ()))
+        n_vertices, parts = len(self.levels.get("vertices", ())), {name: [] for name in LEVEL_FIELDS}
         for one in made:
             shifts = {"skip": n_patches, "first_vertex": n_vertices, "first_face": n_faces}
             for name in LEVEL_FIELDS:
@@ -132,7 +174,8 @@ class SceneMeshes:
             n_vertices += len(one.points)
             n_faces += len(one.levels.faces)
         if made:
-            self.levels = {name: np.concatenate(columns) for name, columns in parts.items()}
+            old = self.levels or {name: columns[0][:0] for name, columns in parts.items()}
+            self.levels = {name: self._room.append(name, old[name], parts[name]) for name in LEVEL_FIELDS}
             self._tree = tuple(self.levels[name] for name in PatchTree._fields)
 
     def view_from(
@@ -165,10 +208,27 @@ class SceneMeshes:
 
     def choose(self, view: SectorView, bodies: BodiesInView, out: np.ndarray) -> PatchesInView:
         """Choose what a sector draws of bodies; out : (most_patches, 2) int32, overwritten."""
-        if not self.bodies:
+        if not len(self.bodies):
             return PatchesInView(out[:0], 0, Window())
         places = tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.rows, bodies.outside))
         n, n_faces, *window = choose_patches(
             self._tree, tuple(self.boxes), places, view.geometry, view.limits, out
         )
         return PatchesInView(out[:n], n_faces, Window(*window))
+
+    def choose_in_sectors(self, views: SectorViews, bodies: BodiesInView, out: np.ndarray) -> np.ndarray:
+        """Choose what each of S sectors draws of bodies.
+
+        Parameters
+        ----------
+        out : (S, most_patches, 2) int32, overwritten
+
+        Returns
+        -------
+        (S, 6) int64: how many patches of a sector are chosen, how many faces these have, and its Window
+        """
+        found = np.zeros((len(out), 6), np.int64)
+        if len(self.bodies):
+            places = tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.rows, bodies.outside))
+            choose_in_sectors(self._tree, tuple(self.boxes), places, views.geometry, views.limits, out, found)
+        return found

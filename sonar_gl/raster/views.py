@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -10,14 +11,14 @@ import numpy as np
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.raster.cull import DetailLimits, SectorGeometry
 from sonar_gl.sonar.fan import NEAR_M
-from sonar_gl.sonar.samples import NO_FACES, NO_SPANS, SectorSamples, ViewSamples
+from sonar_gl.sonar.samples import NO_BODIES, NO_FACES, NO_SPANS, SectorSamples, ViewSamples, sector_table
 from sonar_gl.sonar.sector import Sector
 
 # Drawn at a time: 26 bytes each, and with OpenGL 16 in the driver. Samples chosen for a tolerance are fewer, so that no
 # choice takes hundreds of megabytes: a tolerance of 0.001 takes 3.7 million in the scene diver.
 MAX_SAMPLES, MAX_CHOSEN_SAMPLES = 1 << 24, 1 << 22
 NO_PLANE = np.array([0.0, 0.0, 0.0, 1.0])  # a clip plane that cuts nothing
-NO_SAMPLES, NO_BODIES = np.empty((0, 0, 4), np.float32), np.empty((0, 0), np.uint16)
+NO_SAMPLES = np.empty((0, 0, 4), np.float32)
 
 # A patch replaces its mesh where its geometric error is at most so many samples, and where its echo changes
 # by at most so much per radian of a sample's width; not at all where its normals make a specular lobe.
@@ -49,7 +50,6 @@ class SectorView:
         self.sector, self.sample_rad = sector, min(u[1], v[2])
         self.furthest = float(np.sqrt(1.0 + (ends * ends).sum(axis=1)).max())
         self.whole = Window(0, 0, sector.columns, sector.rows)
-        self._last = self.whole, sector
         self.geometry = tuple(
             SectorGeometry(
                 rotation=sector.rotation(),
@@ -76,12 +76,18 @@ class SectorView:
         """(2, 2) samples per (u, v)."""
         return SectorGeometry(*self.geometry).inverse
 
-    def within(self, window: Window) -> Sector:
-        """Return the sector whose lattice is that of a window; kept, since windows often stay as they are."""
-        last = self._last  # other threads may replace it
-        if last[0] != window:
-            last = self._last = window, self.sector.within(*window)
-        return last[1]
+
+class SectorViews(NamedTuple):
+    """What SectorView holds of each sector, stacked: `geometry` and `limits`."""
+
+    geometry: tuple
+    limits: tuple
+
+
+def stacked(views: Sequence[SectorView]) -> SectorViews:
+    """Return the SectorViews of some views."""
+    geometry, limits = ([getattr(view, name) for view in views] for name in SectorViews._fields)
+    return SectorViews(*(tuple(np.array(one) for one in zip(*of, strict=True)) for of in (geometry, limits)))
 
 
 class BodiesInView(NamedTuple):
@@ -176,33 +182,62 @@ def distance_before_plane(plane, matrices, bounds) -> tuple[np.ndarray, np.ndarr
     return middle - half, middle + half
 
 
-def samples_of(
-    views: Sequence[SectorView],
-    windows: Sequence[Window],
-    plane_echo: np.ndarray,
-    body_id: np.ndarray,
-    face_id: np.ndarray = NO_FACES,
-    body_spans: np.ndarray = NO_SPANS,
-) -> ViewSamples:
-    """Return the samples of a view.
+class SectorLayout:
+    """Lays the windows of a fan's sectors side by side in an image.
 
     Parameters
     ----------
-    windows : of each sector, which lie in the image side by side
-    plane_echo, body_id, face_id : (H, W, 4) float32, (H, W) uint16 and int32 of `SectorSamples`; body_id and face_id of
-        no size if they are not known
-    body_spans : of `ViewSamples`
+    views : of the sectors
     """
-    out, lefts, left = [], [], 0
-    for view, window in zip(views, windows, strict=True):
-        sector, columns = view.within(window), window.columns
-        if columns == 0:
-            out.append(SectorSamples(sector, NO_SAMPLES, NO_BODIES))
-        else:
-            here = (slice(0, window.rows), slice(left, left + columns))
+
+    def __init__(self, views: Sequence[SectorView]):
+        self._views, self._last = views, ((), (), (), ())
+
+    def samples(
+        self,
+        windows: Sequence[Window],
+        plane_echo: np.ndarray,
+        body_id: np.ndarray,
+        face_id: np.ndarray = NO_FACES,
+        body_spans: np.ndarray = NO_SPANS,
+        is_dark: Sequence[bool] | None = None,
+    ) -> ViewSamples:
+        """Return the samples of a view.
+
+        Parameters
+        ----------
+        windows : of each sector
+        plane_echo, body_id, face_id : (H, W, 4) float32, (H, W) uint16 and int32 of `SectorSamples`; body_id and
+            face_id of no size if they are not known
+        body_spans : of `ViewSamples`
+        is_dark : of each sector, whether all of its samples met nothing; None if that is not known
+        """
+        sectors, lefts, table = self._place((*windows, is_dark))
+        out = []
+        for sector, left in zip(sectors, lefts, strict=True):
+            if sector.columns == 0:
+                out.append(SectorSamples(sector, NO_SAMPLES, NO_BODIES))
+                continue
+            here = (slice(0, sector.rows), slice(left, left + sector.columns))
             bodies = body_id[here] if body_id.size else NO_BODIES
             faces = face_id[here] if face_id.size else NO_FACES
             out.append(SectorSamples(sector, plane_echo[here], bodies, faces))
-        lefts.append(left)
-        left += columns
-    return ViewSamples(tuple(out), plane_echo, tuple(lefts), face_id, body_spans)
+        return ViewSamples(tuple(out), plane_echo, lefts, face_id, body_id, table, body_spans)
+
+    def _place(self, key: tuple) -> tuple:
+        """Return the sectors of windows, where these begin, and their SectorTable; kept, since windows often stay.
+
+        key : the windows, and `is_dark`
+        """
+        last = self._last  # other threads may replace it
+        if last[0] != key:
+            *windows, is_dark = key
+            sectors = tuple(
+                view.sector.within(*window) for view, window in zip(self._views, windows, strict=True)
+            )
+            lefts = tuple(accumulate((window.columns for window in windows[:-1]), initial=0))
+            table = sector_table(sectors, lefts)
+            if is_dark is not None:  # nothing to sum
+                table.places[np.array(is_dark), 1:] = 0
+            last = self._last = key, sectors, lefts, tuple(table)
+        return last[1:]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -291,7 +291,7 @@ class Scene(ArraysStayReadOnly):
         if surface_z_m is not None:
             surface_z_m = check_number("surface_z_m of a scene", surface_z_m, -1e5, 1e5, "give metres")
         roughness = check_number("surface_roughness_m of a scene", surface_roughness_m, 0, 100, "give metres")
-        _check_bodies(bodies, plumes)
+        check_added([*bodies, *plumes])
         vars(self).update(
             bodies=bodies,
             plumes=plumes,
@@ -335,10 +335,10 @@ class Scene(ArraysStayReadOnly):
         """Return the same scene with more bodies and plumes, after its own."""
         check_kind("bodies to add", bodies, Iterable, "give several, as in scene.with_more([body])")
         added, added_plumes = _bodies_and_plumes(bodies)
-        # the bodies of this scene are not gone through again: a simulator may add thousands, one by one
+        # the bodies of this scene are not checked again but for their names
         out = self._with(())
         vars(out).update(bodies=(*self.bodies, *added), plumes=(*self.plumes, *added_plumes))
-        _check_bodies(out.bodies, out.plumes)
+        check_added(out.bodies_and_plumes)
         return out
 
     def without(self, *patterns: str) -> Scene:
@@ -430,13 +430,27 @@ def _bodies_and_plumes(things: Iterable) -> tuple[tuple[Body, ...], tuple[Bubble
     return bodies, tuple(thing for thing in things if isinstance(thing, Bubbles))
 
 
-def _check_bodies(bodies, plumes) -> None:
-    names = [thing.name for thing in (*bodies, *plumes)]
-    if len(set(names)) < len(names):
-        twice = min(name for name, count in Counter(names).items() if count > 1)
-        raise Error(f"names of bodies must be unique (got {twice!r} more than once)")
-    if len(bodies) > MAX_BODIES:
+def check_added(things: Sequence[Body | Bubbles], n_bodies: int = 0, names: Container[str] = ()) -> None:
+    """Check the names of things that are added to a scene, and how many bodies it has then.
+
+    Parameters
+    ----------
+    things : bodies and plumes
+    n_bodies, names : what the scene has
+
+    Raises
+    ------
+    Error
+        if two have one name, or there are too many bodies.
+    """
+    twice = [
+        name for name, count in Counter(thing.name for thing in things).items() if count > 1 or name in names
+    ]
+    if twice:
+        raise Error(f"names of bodies must be unique (got {min(twice)!r} more than once)")
+    n_bodies += sum(not isinstance(thing, Bubbles) for thing in things)
+    if n_bodies > MAX_BODIES:
         raise Error(
-            f"a scene holds at most {MAX_BODIES} bodies (got {len(bodies)}; join some meshes, or `place` absent bodies "
+            f"a scene holds at most {MAX_BODIES} bodies (got {n_bodies}; join some meshes, or `place` absent bodies "
             "again in place of adding others)"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -11,7 +12,8 @@ import numpy as np
 from sonar_gl.core.compiled import compiled
 from sonar_gl.sonar.sector import Sector
 
-NO_FACES, NO_SPANS = np.empty((0, 0), np.int32), np.empty((0, 2))
+NO_FACES, NO_BODIES = np.empty((0, 0), np.int32), np.empty((0, 0), np.uint16)
+NO_SPANS = np.empty((0, 2))
 # Samples about those with an echo: a footprint ends where the plane of a neighbour begins.
 BESIDE_ECHO = 2
 
@@ -93,6 +95,38 @@ def whole_rows(window: np.ndarray) -> np.ndarray:
     return np.lib.stride_tricks.as_strided(window, (len(window), pitch, *window.shape[2:]), strides)
 
 
+class SectorTable(NamedTuple):
+    """Where the samples of a view's S sectors lie in its image, and their lattices, as kernels take them.
+
+    Attributes
+    ----------
+    places : (S, 3) int64, first column in the image, columns and rows
+    u, v : (S, 3) float64, of `Sector`
+    limits : (S, 4) float64, tangents of the lowest and the highest elevation; sine and cosine of the azimuth
+    """
+
+    places: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    limits: np.ndarray
+
+
+def sector_table(sectors: Sequence[Sector], left: Sequence[int]) -> SectorTable:
+    """Return the table of some sectors, whose samples begin at some columns of an image."""
+    return SectorTable(
+        np.array([(n, one.columns, one.rows) for one, n in zip(sectors, left, strict=True)], np.int64),
+        np.array([one.u for one in sectors], np.float64),
+        np.array([one.v for one in sectors], np.float64),
+        np.array(
+            [
+                (one.tan_low, one.tan_high, math.sin(one.azimuth_rad), math.cos(one.azimuth_rad))
+                for one in sectors
+            ],
+            np.float64,
+        ),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class ViewSamples:
     """The samples of the fan from one pose.
@@ -102,7 +136,8 @@ class ViewSamples:
     sectors : SectorSamples of the fan's sectors
     plane_echo : (H, W, 4) float32, the image that contains the sectors side by side; None if a host rendered them
     left : column of the image at which the samples of each sector begin
-    face_id : (H, W) int32, of the same image; empty if it is not known
+    face_id, body_id : (H, W) int32 and uint16, of the same image; empty if they are not known
+    table : plain tuple of SectorTable; None without an image
     body_spans : (bodies + 1, 2) float64 by number: 1/range of the furthest place of the body, and of the nearest one of
         its box; empty if it is not known
     bubbles : (m, 4) azimuth, sine of elevation, range, steradians of point scatterers; None without plumes
@@ -112,5 +147,7 @@ class ViewSamples:
     plane_echo: np.ndarray | None = None
     left: tuple[int, ...] = ()
     face_id: np.ndarray = field(default_factory=lambda: NO_FACES)
+    body_id: np.ndarray = field(default_factory=lambda: NO_BODIES)
+    table: tuple | None = None
     body_spans: np.ndarray = field(default_factory=lambda: NO_SPANS)
     bubbles: np.ndarray | None = None

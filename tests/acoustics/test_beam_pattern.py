@@ -19,6 +19,7 @@ from sonar_gl.acoustics.beam_pattern import (
     taper_series,
 )
 from sonar_gl.analysis.verify import ping_error
+from sonar_gl.core.warn import collected_warnings
 from tests.support.settings import described
 
 pytestmark = pytest.mark.usefixtures("few_first_rays")
@@ -424,3 +425,21 @@ def test_the_true_range_sonar_covers_the_support_in_elevation():
         power = acoustics.two_way_elevation_pattern(SONAR)(sines)
         top = acoustics.true_range_sonar(SONAR).elevation_fov_deg / 2
         assert power[sines > math.sin(math.radians(top))].sum() < limit * power.sum()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        # the support in elevation is higher: the text would be another one
+        {"elevation_fov_deg": 0.26},
+        # too little only against the support, which no user has set
+        {"elevation_fov_deg": 3.0, "tilt_deg": 0.7},
+    ],
+)
+def test_the_true_range_sonar_warns_of_nothing(change):
+    """Its numbers are none that the user has written: what is unlikely in the sonar itself has been said."""
+    with collected_warnings():
+        sonar = replace(SONAR, **change)
+    with collected_warnings() as found:
+        sg.Acoustics.physical().true_range_sonar(sonar)
+    assert found == []

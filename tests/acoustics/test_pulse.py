@@ -1,5 +1,7 @@
 """The range response of a pulse: width, side lobes, energy, and the correlation of noise."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import trimesh
@@ -11,6 +13,7 @@ from sonar_gl.acoustics.pulse import (
     PULSE_TAPERS,
     amplitude_response,
     bin_weights,
+    coarse_weights,
     field_weights,
     is_coarse,
     matched_filter,
@@ -57,6 +60,21 @@ def test_bin_weights_are_integrals_of_the_response(taper, bin_size_m):
     assert (1 - NEGLECTED_ENERGY[taper]) * total <= energy.sum() <= total * (1 + 1e-6)
     # 2e-5 is the error of the midpoint rule
     np.testing.assert_allclose(weights / level, energy / energy.sum(), rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("taper", PULSE_TAPERS)
+@pytest.mark.parametrize("bin_size_m", [0.01, 0.04])
+def test_kernels_depend_on_the_length_of_a_bin_over_that_of_the_pulse_alone(taper, bin_size_m):
+    """Twice the speed of sound, in bins twice as long."""
+    at = np.linspace(-5, 5, 21)
+    for kernel in (bin_weights, field_weights, partial(coarse_weights, at)):
+        expected = kernel(bin_size_m, BANDWIDTH_HZ, taper, SPEED_M_S)
+        found = kernel(2 * bin_size_m, BANDWIDTH_HZ, taper, 2 * SPEED_M_S)
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_bins_far_longer_than_the_pulse_hold_their_own_echo():
+    assert bin_weights(1.0, 30e6).tolist() == [1.0]
 
 
 def test_coarse_bins_contain_nearly_the_whole_pulse():

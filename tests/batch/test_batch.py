@@ -24,7 +24,7 @@ from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
-from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part, measure_cost
+from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part, try_pings
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
@@ -38,6 +38,7 @@ from sonar_gl.noise.field import receiver_power
 from sonar_gl.sonar.sampling import ToleranceWarning
 from tests.support.batches import (
     BOX,
+    FLOOR,
     LABELS,
     MORE,
     files_of,
@@ -46,7 +47,7 @@ from tests.support.batches import (
     write_job,
     write_plain_job,
 )
-from tests.support.command_line import run
+from tests.support.command_line import WALL, run
 
 N = 10
 
@@ -383,6 +384,43 @@ def test_what_moves_apart_moves_as_whole_models(tmp_path):
         assert (a is None) == (b is None) and mu == b_mu
 
 
+def test_one_of_several_bodies_is_there_at_a_time_each_as_often(tmp_path):
+    """Of three, a fish with its tail among them: what it is made of, its size and shape vary from ping to ping."""
+    path = write_job(tmp_path, 3000, "")
+    link = re.search("<link.*</link>", BOX, re.DOTALL)[0]
+    links = "".join(link.replace('"link"', f'"{name}"') for name in ("head", "tail"))
+    fish = f'<model name="fish"><pose>3 0 0 0 0 0</pose>{links}</model>'
+    bodies = WALL + BOX + BOX.replace("box_1", "box_2") + fish + FLOOR
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{bodies}</world></sdf>')
+    (tmp_path / "empty.sdf").write_text(f'<sdf version="1.9"><world name="empty">{WALL}</world></sdf>')
+    one = {"names": ["box_*", "fish*"], "one_of": True, "x_m": [-0.5, 0.5], "there": 0.8}
+    after = {"names": ["floor"], "z_m": [-0.2, 0.0]}
+    plain = read_job(path).plain | {"scenes": ["tank.sdf", "empty.sdf"]}
+
+    def bodies_of(*tables):
+        requests = BatchRequests(Job(**plain | {"vary": {"bodies": list(tables)}}))
+        return [requests[number].bodies for number in range(3000)], requests
+
+    found, requests = bodies_of(one, after)
+    counts = dict.fromkeys(("", "box_1", "box_2", "fish::head"), 0)
+    for moved in found:
+        assert set(moved) == {"box_1", "box_2", "fish::head", "fish::tail", "floor"}
+        there = [name for name in moved if moved[name] is not None and name != "floor"]
+        assert there in ([], ["box_1"], ["box_2"], ["fish::head", "fish::tail"])
+        counts[there[0] if there else ""] += 1
+    expected = np.array([0.2, 0.8 / 3, 0.8 / 3, 0.8 / 3]) * 3000
+    chi_squared = ((np.array(list(counts.values())) - expected) ** 2 / expected).sum()
+    assert chi_squared < 16.3  # exceeded once in a thousand seeds
+    shifts = np.array([moved["box_1"][0, 3] - 3 for moved in found if moved["box_1"] is not None])
+    assert abs(shifts).max() <= 0.5 and shifts.std() == pytest.approx(1 / np.sqrt(12), rel=0.1)
+    assert requests[3000].bodies == {}  # a scene without any of them
+    # which one is there decides no draw of another table
+    floor, _ = bodies_of(one | {"there": 1.0}, after)
+    assert all(np.array_equal(a["floor"], b["floor"]) for a, b in zip(found, floor, strict=True))
+    alone, _ = bodies_of({"names": ["box_1"], "one_of": True})
+    assert not any(alone)  # it is always there, as it is in the scene
+
+
 def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_path):
     """A box that lies rolled and turned at another place: its position has the shift added, its axes the turn."""
     path = write_job(tmp_path, 2, "")
@@ -417,6 +455,53 @@ def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(t
     times = [100.0, 100.5, 101.5, 102.0, 103.0, 103.2, 104.2, 104.4]
     assert [request.time_s for request in requests] == pytest.approx(times, abs=1e-9)
     assert [request.scene for request in requests] == [0, 0, 1, 1] * 2
+
+
+def test_a_table_of_poses_may_be_for_some_scenes_alone(tmp_path):
+    """Numbers, times and views of a ping are those that it has in a job whose other tables are left out or moved."""
+    path = write_job(tmp_path, 2, "")
+    names = ["tank.sdf", "pool.sdf", "dock.sdf"]
+    for name in names[1:]:
+        shutil.copy(tmp_path / "tank.sdf", tmp_path / name)
+    (sector,) = read_job(path).plain["poses"]
+    views = {"kind": "random_views", "target_m": [3.0, 0.0, 0.0], "range_m": [1.0, 2.0], "n_pings": 1}
+    tables = [sector | {"scenes": ["dock.sdf", "tank.sdf"]}, views | {"scenes": ["pool.sdf"]}, views]
+    job = read_job(path).model_copy(update={"scenes": names, "poses": tables})
+    requests = BatchRequests(job)
+    assert [request.scene for request in requests] == [0, 0, 2, 2, 1, 0, 1, 2]
+    times_s = [0.0, 0.2, 1.2, 1.4, 2.4, 3.4, 4.4, 5.4]
+    assert [request.time_s for request in requests] == pytest.approx(times_s, abs=1e-9)
+    everywhere = BatchRequests(job.model_copy(update={"poses": [sector, views, views]}))
+    for number, other in zip(range(8), (0, 1, 0, 1, 6, 9, 9, 9), strict=True):
+        assert np.array_equal(requests[number].vehicle_pose, everywhere[other].vehicle_pose)
+
+
+def test_scenes_of_poses_are_those_of_the_job_and_each_has_poses(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    shutil.copy(tmp_path / "tank.sdf", tmp_path / "pool.sdf")
+    text = path.read_text().replace('["tank.sdf"]', '["tank.sdf", "pool.sdf"]')
+    for key, message in (
+        ('scenes = ["tank"]', "poses[0].scenes: unknown scene (got 'tank'; did you mean 'tank.sdf'?)"),
+        ("scenes = [1]", "poses[0].scenes: unknown scene (got 1; known are pool.sdf, tank.sdf)"),
+        (
+            'scenes = "tank.sdf"',
+            "poses[0].scenes must be a list of scenes (got 'tank.sdf'; leave it out for all scenes of the job)",
+        ),
+        (
+            "scenes = []",
+            "poses[0].scenes must be a list of scenes (got []; leave it out for all scenes of the job)",
+        ),
+        (
+            'scenes = ["tank.sdf"]',
+            "scenes[1] must have poses (got 'pool.sdf', which no table of poses has in its scenes; name it in one, or "
+            "leave it out)",
+        ),
+        ('scene = ["tank.sdf"]', "poses[0]: unknown key (got 'scene'; did you mean 'scenes' or 'sweep_s'?)"),
+    ):
+        path.write_text(text.replace('kind = "sector"', f'kind = "sector"\n{key}'))
+        with pytest.raises(sg.Error) as caught:
+            BatchRequests(read_job(path))
+        assert str(caught.value) == f"{path}: {message}"
 
 
 def test_sonars_have_the_mounts_ranges_and_bins_of_the_job(tmp_path):
@@ -601,6 +686,33 @@ def test_parts_in_any_order_by_any_process_have_the_same_bytes(hard, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_set_of_scenes_with_poses_and_variants_of_their_own_has_the_same_bytes(tmp_path):
+    """In any order of parts, of several scenes each, and ping by ping."""
+    path = write_plain_job(tmp_path, 3, 4, "")
+    text = path.read_text().replace('["tank.sdf"]', '["tank.sdf", "pool.sdf"]')
+    (tmp_path / "pool.sdf").write_text((tmp_path / "tank.sdf").read_text().replace(BOX, ""))
+    poses = text[text.index("[[poses]]") :].replace("-0.2, 0.2", "0.2, 0.1")
+    vary = '[[vary.bodies]]\nnames = ["box_1", "floor"]\none_of = true\nx_m = [-0.5, 0.5]\n'
+    path.write_text(text + f'scenes = ["pool.sdf"]\n{poses}{vary}{LABELS}[coco]\nheight = 100\n')
+    make_all(path, tmp_path / "one")
+    batch = open_batch(path, tmp_path / "other")
+    assert [request.scene for request in batch.requests] == [1, 1, 1, 0, 0, 0, 1, 1, 1]
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    for part in (2, 0, 1):
+        make_part(batch, part, one_by_one=True)
+    finalize(batch)
+    batch.close()
+    assert files_of(tmp_path / "one") == files_of(tmp_path / "other")
+    found = xr.open_dataset(tmp_path / "one" / "pings.zarr")
+    box_or_floor = np.isnan(found.moved_pose[3:6, :, 0, 0])
+    assert found.moved_pose.attrs["bodies"][:2] == ["box_1", "floor"] and found.moved_pose.attrs["scenes"][
+        :2
+    ] == [0, 0]
+    assert (box_or_floor[:, 0] != box_or_floor[:, 1]).all()
+
+
+@pytest.mark.slow
 def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
     status, shown, _ = run("batch", hard, "--dry-run", "--workers", "9")
     lines = shown.splitlines()
@@ -621,13 +733,19 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n_scenes", [1, 2])
-def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monkeypatch, n_scenes):
-    """By a clock that a ping n advances by n milliseconds, and a thousand times as much the first time."""
-    path, now_s, made = write_job(tmp_path, 40, LABELS + MORE), [0.0], []
+@pytest.mark.parametrize(("n_scenes", "more"), [(1, 0), (2, 0), (2, 40)])
+def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monkeypatch, n_scenes, more):
+    """By a clock that a ping n advances by n milliseconds, and a thousand times as much the first time.
+
+    more : further pings, of the second scene alone
+    """
+    path, now_s, made = write_job(tmp_path, 40, MORE.replace("[coco]\nheight = 100", "")), [0.0], []
     shutil.copy(tmp_path / "tank.sdf", tmp_path / "pool.sdf")
     text = path.read_text().replace("pings_per_part = 4", "pings_per_part = 16")
     path.write_text(text.replace('["tank.sdf"]', str(["tank.sdf", "pool.sdf"][:n_scenes])))
+    if more:
+        poses = text[text.index("[[poses]]") : text.index("[[vary.bodies]]")] + 'scenes = ["pool.sdf"]\n'
+        path.write_text(path.read_text() + poses)
     batch = open_batch(path, tmp_path / "out")
     number_at = {request.time_s: request.number for request in batch.requests}
     begin(batch).save(batch.folder)
@@ -642,15 +760,57 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
 
     monkeypatch.setattr(parts, "make_pings", timed)
     monkeypatch.setattr(parts.time, "perf_counter", lambda: now_s[0])
-    cost = measure_cost(batch)
+    cost = try_pings(batch)
     if n_scenes == 1:
         expected = np.linspace(0, 39, 16).round().astype(int)
     else:
-        expected = np.linspace([0, 40], [39, 79], 8).round().astype(int).T.ravel()
+        expected = np.linspace([0, 40], [39, 79 + more], 8).round().astype(int).T.ravel()
     assert cost.numbers == tuple(expected.tolist())
     assert all(made.count(number) == 4 for number in expected) and len(made) == 4 * len(expected)
-    assert cost.seconds_per_ping == pytest.approx(1e-3 * np.mean(expected), rel=1e-9)
+    weights = np.where(np.array(expected) < 40, 40, 40 + more)  # pings of each scene
+    assert cost.seconds_per_ping == pytest.approx(1e-3 * np.average(expected, weights=weights), rel=1e-9)
     batch.close()
+
+
+@pytest.mark.slow
+def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
+    """As the labels of the finished batch do; a class without a body in a scene is none that could be seen there."""
+    path = write_plain_job(tmp_path, 8, 4, LABELS)  # more pings than a part has
+    (tmp_path / "pool.sdf").write_text(f'<sdf version="1.9"><world name="pool">{WALL}</world></sdf>')
+    text = path.read_text().replace('["tank.sdf"]', '["tank.sdf", "pool.sdf"]')
+    text = text.replace('target = ["box*"]', 'target = ["box*"]\nbehind = ["lost"]')
+    path.write_text(text.replace("[labels]", '[[vary.bodies]]\nnames = ["box_1"]\nthere = 0.5\n[labels]'))
+    lost = BOX.replace("box_1", "lost").replace("3 0.3 -0.3", "-3 0 0")
+    tank = (tmp_path / "tank.sdf").read_text()
+    (tmp_path / "tank.sdf").write_text(tank.replace("</world>", lost + "</world>"))
+    text = path.read_text()
+    path.write_text(text.replace('"shadow", ', ""))
+    batch = open_batch(path, tmp_path / "trial")
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    tried = try_pings(batch)
+    batch.close()
+    make_all(path, tmp_path / "out")
+    found = xr.open_dataset(tmp_path / "out" / "pings.zarr")
+    assert found.attrs["classes"] == ["fixed", "target", "behind"]
+    bins = [(found.class_id == number).sum(("beam", "range")).values for number in (1, 2, 3)]
+    in_tank, in_pool = tried.seen
+    assert (in_tank.scene, in_tank.sonar, in_tank.n_pings) == (0, "level", 8) and in_pool.scene == 1
+    fixed, target = (one[:8] for one in bins[:2])
+    assert not bins[2].any() and 0 < (target > 0).sum() < 8
+    assert in_tank.classes == [
+        ("behind", 0, 0),
+        ("target", (target > 0).sum(), int(np.median(target[target > 0]))),
+        ("fixed", 8, int(np.median(fixed))),
+    ]
+    assert in_pool.classes == [("fixed", 8, int(np.median(bins[0][8:])))]
+    shown = run("batch", path, "--dry-run", "--workers", "1")[1]
+    lines = [line for line in shown.splitlines() if line.startswith("  labels of")]
+    assert len(lines) == 2 and lines[0].startswith(
+        "  labels of 8 pings, with the median of their bins: behind in none, target in "
+    )
+    path.write_text(text[: text.index("[labels]")])
+    assert "labels of" not in run("batch", path, "--dry-run", "--workers", "1")[1]
 
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
@@ -810,6 +970,24 @@ def test_coco_finds_bodies_where_the_labels_are_but_for_what_boxes_leave_out(sma
                 assert np.array_equal(coco.annToMask(annotation), mask == annotation["body_id"])
 
 
+def test_annotations_state_the_share_of_own_echo_in_what_their_bins_hold(small, requests, pings, quiet):
+    """Beside all other echo and the mean of the receiver's noise, which differs from ping to ping."""
+    found = []
+    for sonar in requests.sonars:
+        coco = COCO(str(small / "out" / "coco" / sonar / "instances.json"))
+        for request, noisy, ping in zip(requests, pings[sonar], quiet[sonar], strict=True):
+            whole, boxes = ping.intensity + receiver_power(ping, request.noise), boxes_of(noisy, 100, ping)
+            for one in coco.loadAnns(coco.getAnnIds(request.number)):
+                row = boxes.body_id.tolist().index(one["body_id"])
+                (beam, last_beam), (bin_, last_bin) = boxes.beams[row], boxes.bins[row]
+                inside = np.s_[beam : last_beam + 1, bin_ : last_bin + 1]
+                is_own = noisy.body_id[inside] == one["body_id"]
+                own = (noisy.share * ping.intensity)[inside][is_own]
+                assert one["own_share"] == pytest.approx(own.sum() / whole[inside][is_own].sum(), abs=1e-3)
+                found.append(one["own_share"])
+    assert len(set(found)) > 10 and 0 < min(found) < 0.9 < max(found) <= 1
+
+
 @pytest.mark.slow
 def test_bodies_of_few_pixels_have_no_annotation_if_the_job_wants_none(small, tmp_path):
     """Only these differ, and images and masks do not."""
@@ -891,9 +1069,13 @@ def test_layers_boxes_and_masks_leave_out_what_the_noise_hides(tmp_path):
         quiet, noisy = (data[name].isel(ping=number) for name in ("quiet", "noisy"))
         arrays = quiet.intensity.values, quiet.azimuth_rad.values, quiet.range.values
         ping = sg.Ping(*arrays, **about)
-        is_above = ping.intensity >= receiver_power(ping, noise)
-        labels = np.where(is_above, quiet.body_id, 0)
-        assert np.array_equal(noisy.body_id, labels) and np.array_equal(noisy.shadow, quiet.shadow)
+        # the share is stored in steps of 1/255
+        least, most = ((quiet.share.values + step / 510) * ping.intensity for step in (-1, 1))
+        power, labels = receiver_power(ping, noise), noisy.body_id.values
+        assert (labels[least > power] == quiet.body_id.values[least > power]).all()
+        assert not labels[most < power].any() and np.mean((least <= power) & (power <= most)) < 0.01
+        assert ((labels == quiet.body_id.values) | (labels == 0)).all()
+        assert np.array_equal(noisy.shadow, quiet.shadow)
         assert 0 < (labels > 0).sum() < 0.9 * (quiet.body_id.values > 0).sum()
         ping = replace(ping, body_id=labels, body_echo=np.zeros(1 + len(noisy.body_bins)))
         boxes, mask = boxes_of(ping, 512), masks["noisy"][number]
@@ -1458,6 +1640,11 @@ BAD = [
     ("[labels]", "[coco]\ncounts = { gain = 3 }\n[labels]", "coco.counts: counts: unknown key (got 'gain'"),
     ("[labels]", "[coco]\ncounts = 3\n[labels]", "coco.counts: should be a table, such as { law"),
     ("[labels]", '[pictures]\ncolormap = "jett"\n[labels]', "pictures.colormap: unknown colour map"),
+    (
+        "there = 0.8",
+        "apart = true\none_of = true",
+        "vary.bodies[0]: apart and one_of exclude each other (got both; leave apart out: one alone moves)",
+    ),
     ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),
     (
         'target = ["box*"]',

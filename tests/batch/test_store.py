@@ -8,10 +8,27 @@ import xarray as xr
 import zarr
 
 import sonar_gl as sg
+from sonar_gl.batch import store
 from sonar_gl.batch.folder import Folder
-from sonar_gl.batch.manifest import Manifest
+from sonar_gl.batch.job import Job, read_job
+from sonar_gl.batch.manifest import Manifest, table_name
+from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import ArraySpec, bin_layers
-from sonar_gl.batch.store import PingStore, SonarGroup, consolidate, create_arrays, shared_files
+from sonar_gl.batch.store import (
+    MADE,
+    NOT_MADE,
+    SET_ASIDE,
+    PingStore,
+    PingTable,
+    SonarGroup,
+    consolidate,
+    create_arrays,
+    gather_ping_variables,
+    ping_variables,
+    rows_to_bytes,
+    shared_files,
+)
+from tests.support.batches import write_job
 
 N = 30
 SONAR = sg.Sonar("small", 900e3, 3, 5, 40.0, 10.0, 2.0, 0.5, 8.5)
@@ -158,3 +175,106 @@ def test_bins_without_a_body_have_none_in_later_scenes_either(first):
     assert np.array_equal(
         layer.encode(ping, np.zeros(10, np.uint8), first), np.where(ids > 0, ids + first, 0)
     )
+
+
+@pytest.fixture(scope="module")
+def varied(tmp_path_factory):
+    """The requests of a job of 22 pings in two scenes: a body moves, or is there by chance, that the other lacks."""
+    folder = tmp_path_factory.mktemp("varied")
+    path = write_job(folder, 11, "")
+    text = (folder / "tank.sdf").read_text()
+    (folder / "other.sdf").write_text(text.replace("box_1", "box_2").replace(">5.5 0 0", ">6.5 1 0"))
+    vary = {
+        "bodies": [
+            {
+                "names": ["box_*"],
+                "y_m": [-0.5, 0.5],
+                "roll_rad": [0.1, 0.9],
+                "reflectivity": [0.2, 0.9],
+                "there": 0.7,
+            },
+            {"names": ["wall"], "there": 0.5},
+        ],
+        "water": {"temperature_c": [2.0, 20.0], "salinity_psu": [5.0, 35.0]},
+        "noise": {"ambient_db": [-80.0, -60.0], "interference_lines": [1.0, 9.0]},
+    }
+    changed = {"scenes": ["tank.sdf", "other.sdf"], "vary": vary}
+    return BatchRequests(Job(**read_job(path).plain | changed))
+
+
+def test_numbers_of_pings_are_those_that_were_entered(varied):
+    """By sonar, body and scene, also of pings that were not made."""
+    table = PingTable(varied)
+    rows, random = np.array([table.row(request) for request in varied]), np.random.default_rng(0)
+    status = table.column(rows, "status")
+    assert (status == NOT_MADE).all()
+    status[1], status[2:] = SET_ASIDE, MADE
+    for name in ("echo", "error_estimate", "sampling"):
+        for sonar in varied.sonars:
+            entered = table.column(rows, (name, sonar))
+            assert np.isnan(entered).all()
+            entered[2:] = random.integers(1, 999, entered[2:].shape)
+    known, n_still = [{body.name: body.pose for body in varied.scene(k).bodies} for k in range(2)], 0
+    for sonar, mount in varied.mounts.items():
+        variables = {one.name: one for one in ping_variables(varied, table, sonar)}
+        data = {name: one.values(rows).astype(one.dtype) for name, one in variables.items()}
+        assert all(data[name].shape == (22, *one.shape) for name, one in variables.items())
+        assert all(np.isnan(one.fill) == (one.dtype == "float64") for one in variables.values())
+        about = {name: one.attributes for name, one in variables.items()}
+        flags = zip(about["status"]["flag_meanings"].split(), about["status"]["flag_values"], strict=True)
+        assert dict(flags) == {"not_made": NOT_MADE, "made": MADE, "set_aside": SET_ASIDE}
+        assert data["status"].tolist() == [NOT_MADE, SET_ASIDE, *[MADE] * 20]
+        for name in ("echo", "error_estimate"):
+            np.testing.assert_array_equal(data[name], table.column(rows, (name, sonar))[:, 0])
+        columns, n_rows = table.column(rows, ("sampling", sonar)).T
+        np.testing.assert_array_equal(data["columns_per_beam"], columns)
+        assert variables["rows"].values(rows).tolist() == [0, 0, *n_rows[2:]]
+        moved, coloured = (
+            list(zip(about[name]["scenes"], about[name]["bodies"], strict=True))
+            for name in ("moved_pose", "reflectivity")
+        )
+        assert moved == [(0, "box_1"), (0, "wall"), (1, "box_2"), (1, "wall")]
+        assert coloured == [(0, "box_1"), (1, "box_2")]
+        for k, request in enumerate(varied):
+            assert (data["scene"][k], data["time_s"][k]) == (request.scene, request.time_s)
+            np.testing.assert_array_equal(data["pose"][k], request.vehicle_pose @ mount)
+            for name in ("temperature_c", "salinity_psu"):
+                assert data[f"water_{name}"][k] == getattr(request.water, name)
+            for name in ("ambient_db", "interference_lines"):
+                assert data[f"noise_{name}"][k] == getattr(request.noise, name)
+            for at, (scene, name) in enumerate(moved):
+                pose = request.bodies.get(name, known[scene][name]) if scene == request.scene else None
+                expected = np.vstack([np.full((3, 4), np.nan), np.eye(4)[3]]) if pose is None else pose
+                np.testing.assert_array_equal(data["moved_pose"][k, at], expected)
+                n_still += scene == request.scene and name not in request.bodies
+            mu = [request.reflectivity.get(name, np.nan) for name in ("box_1", "box_2")]
+            assert np.isnan(mu[1 - request.scene])
+            np.testing.assert_array_equal(data["reflectivity"][k], mu)
+    assert 0 < n_still < 2 * 22
+
+
+# blocks that end within a part, and one that all pings fit into
+@pytest.mark.parametrize("block_pings", [4, 50])
+def test_numbers_of_pings_are_gathered_whatever_blocks_they_go_through(
+    varied, tmp_path, monkeypatch, block_pings
+):
+    """From the tables of parts to the store, whose numbers a second try replaces."""
+    monkeypatch.setattr(store, "TABLE_CHUNK_PINGS", block_pings)
+    monkeypatch.setattr(store, "ping_variables", _poses_alone)
+    folder, table, manifest = Folder(tmp_path), PingTable(varied), Manifest({}, "", 22, 3, None, {})
+    rows = np.array([table.row(request) for request in varied])
+    create_arrays(
+        folder, manifest, {name: SonarGroup(sonar, [], {}) for name, sonar in varied.sonars.items()}, {}
+    )
+    for part in range(manifest.n_parts):
+        folder.put(table_name(part), rows_to_bytes(rows[manifest.numbers(part)]))
+    for _ in range(2):
+        gather_ping_variables(varied, table, manifest, folder)
+    for sonar, mount in varied.mounts.items():
+        array = zarr.open_array(tmp_path / "pings.zarr" / sonar / "pose")
+        np.testing.assert_array_equal(array[:], [request.vehicle_pose @ mount for request in varied])
+        assert array.chunks == (min(block_pings, 22), 4, 4)
+
+
+def _poses_alone(requests, table, sonar):
+    return [one for one in ping_variables(requests, table, sonar) if one.name == "pose"]

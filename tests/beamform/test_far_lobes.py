@@ -66,6 +66,19 @@ def test_the_response_of_columns_is_the_sum_of_all_beams(name, far_side_lobes):
 
 
 @pytest.mark.parametrize("name", DEVICES)
+def test_the_halves_of_beams_expand_moments_of_their_own(name):
+    sonar, workspace = DEVICES[name], Workspace()
+    fan = make_beamformer(sonar, PHYSICAL, sg.Sampling(1, 16), workspace=workspace).fan
+    _, lobes = workspace.weights(fan.column_edges_rad, None)
+    (beams, tiles), (more_beams, more_tiles) = lobes.halves
+    assert (beams[0], beams[1], more_beams[1]) == (0, more_beams[0], sonar.n_beams)
+    assert (tiles[0], tiles[1], more_tiles[1]) == (0, more_tiles[0], len(lobes.couple.first))
+    used = lobes.first_moment[:, None] + np.arange(lobes.expansion.shape[1])
+    for half, (first, last) in ((slice(*beams), tiles), (slice(*more_beams), more_tiles)):
+        assert (used[half] >= 4 * first).all() and (used[half] < 4 * last).all()
+
+
+@pytest.mark.parametrize("name", DEVICES)
 def test_beams_weigh_all_columns_by_the_pattern(name):
     """Within the support exactly, beyond it within TOLERANCE of the floor and the side lobe's peak."""
     sonar = DEVICES[name]

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from sonar_gl.core import compiled as module
-from sonar_gl.core.compiled import announce_compilation, as_table, compiled, reason_not_kept, sources_of
+from sonar_gl.core.compiled import (
+    announce_compilation,
+    as_table,
+    compiled,
+    from_column,
+    reason_not_kept,
+    sources_of,
+)
 from sonar_gl.core.errors import Error
 from tests.support.processes import HOME, python
 
@@ -247,3 +254,19 @@ def test_a_process_without_compilation_says_why_it_cannot_ping():
     code = "import sonar_gl as sg\ntry: sg.Simulator\nexcept sg.Error as why: print(why)"
     out = python("-c", code, environment={"NUMBA_DISABLE_JIT": "1"}, check=True).stdout
     assert out.startswith("NUMBA_DISABLE_JIT must be 0 or unset")
+
+
+@pytest.mark.parametrize("tail", [(), (4,)])
+def test_rows_from_a_column_on_are_a_view_of_an_image(tail):
+    image = np.arange(5 * 7 * int(np.prod(tail)), dtype=np.float32).reshape(5, 7, *tail)
+
+    @numba.njit
+    def write(image, column, n_rows):
+        rows = from_column(image, column, n_rows)
+        rows[1, 0] = 0.0
+        return rows.shape, rows.size
+
+    expected = image.copy()
+    expected[1, 2] = 0.0
+    assert write(image, 2, 3) == ((3, 7, *tail), 3 * 7 * int(np.prod(tail)))
+    np.testing.assert_array_equal(image, expected)

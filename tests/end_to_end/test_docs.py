@@ -316,7 +316,7 @@ SETS = "pylons", "validation"
 
 @pytest.mark.slow
 def test_the_page_of_batches_runs(folder):
-    job, rig = (block.values[0] for block in blocks("toml", [BATCHES]))
+    job, rig, elsewhere = (block.values[0] for block in blocks("toml", [BATCHES]))
     Path("pylons.toml").write_text(re.sub(r"n_pings = \d+", "n_pings = 9", job))
     Path("validation.toml").write_text(Path("pylons.toml").read_text().replace("seed = 1", "seed = 2"))
     before = set(os.listdir())
@@ -331,6 +331,9 @@ def test_the_page_of_batches_runs(folder):
             assert re.search(r"^9 pings in 2 parts of 8$", result.stdout, re.M)
             assert re.search(
                 r"^p900_45 in pylon: 256 beams x \d+ bins, \d+ to \d+ samples a ping", result.stdout, re.M
+            )
+            assert re.search(
+                r"^  labels of 9 pings, with the median of their bins: \w+ in \d \(", result.stdout, re.M
             )
             size_kb = float(re.search(r"^size: \S+ \wB \((\d+) kB a ping\)", result.stdout, re.M)[1])
             assert re.search(
@@ -370,6 +373,9 @@ def test_the_page_of_batches_runs(folder):
         one = ones[image["id"] // 9]
         ids = joined.getAnnIds(image["id"]), one.getAnnIds(image["id"] % 9)
         assert [a["bbox"] for a in joined.loadAnns(ids[0])] == [a["bbox"] for a in one.loadAnns(ids[1])]
+    Path("elsewhere.toml").write_text(elsewhere + text[text.index("[[sonars]]") : text.index("[[poses]]")])
+    requests = BatchRequests(read_job(Path("elsewhere.toml")))
+    assert [request.scene for request in requests] == [0] * 200 + [1] * 100
     requests = BatchRequests(read_job(shown))
     assert np.allclose(requests.mounts["upright"], sg.pose(roll=np.pi / 2), atol=1e-7)
     # the page's tables know every key, and no other
@@ -387,6 +393,7 @@ def test_the_page_of_batches_runs(folder):
 
 
 VARIED = '[[vary.bodies]]\nnames = ["box_1"]\nx_m = [-0.5, 0.5]\n'
+VARIED_ONE = VARIED.replace('"box_1"', '"box_1", "wall"') + "one_of = true\n"
 VARIED_MEDIA = (
     "[vary.water]\ntemperature_c = [2.0, 20.0]\n[vary.noise]\nambient_db = [-80.0, -60.0]\nlooks = [2, 4]\n"
 )
@@ -402,6 +409,7 @@ VARIED_MEDIA = (
         pytest.param(
             VARIED + "there = 0.5\nreflectivity = [0.2, 0.9]\n" + VARIED_MEDIA, False, ["tank.sdf"], id="all"
         ),
+        pytest.param(VARIED_ONE, True, ["pool.sdf", "tank.sdf"], id="one of two"),
         # in the first scene, too, bodies of these names move
         pytest.param(VARIED, True, ["pool.sdf", "tank.sdf"], id="scenes"),
     ],

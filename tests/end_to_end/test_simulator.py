@@ -385,6 +385,32 @@ def test_a_table_of_beams():
             "azimuth 0.0° and elevation -39.3° of the sonar, which sees ±30° and ±10°; turn or move the "
             "sonar",
         ),
+        (  # so weak that float32 has no number for its echo in a bin
+            (replace(BOX, reflectivity=1e-44),),
+            sg.pose(0, 2, 0),
+            "no echo came back: the nearest surface in the fan lies at 5.50 m; its echo is too weak to differ from 0",
+        ),
+        (  # just above the fan, where samples for its corners lie
+            (sg.Body("lid", trimesh.creation.box((0.1, 0.1, 0.1)), sg.pose(8, 0, 1.52)),),
+            np.eye(4),
+            "no echo came back: no surface lies in the fan; the nearest is 'lid', 8.08 m away at azimuth 0.0° and "
+            "elevation 10.5° of the sonar, which sees ±30° and ±10°; turn or move the sonar",
+        ),
+        (  # seen edge-on, from within the range to far beyond
+            (sg.Body("plate", trimesh.Trimesh([[5, -1, 0], [5, 1, 0], [99, 0, 0]], [[0, 1, 2]])),),
+            np.eye(4),
+            "no echo came back: no surface lies in the fan; the nearest is 'plate', 5.00 m away at azimuth 0.0° and "
+            "elevation 0.0° of the sonar, which sees ±30° and ±10°; turn or move the sonar",
+        ),
+        *(
+            (
+                (sg.Body("wall", trimesh.creation.box((1, 20, 100)), sg.pose(400.5, 0, side * 200)),),
+                np.eye(4),
+                "no echo came back: no surface lies in the fan; the nearest is 'wall', 427.20 m away at azimuth 0.0° "
+                f"and elevation {side * 20.6}° of the sonar, which sees ±30° and ±10°; turn or move the sonar",
+            )
+            for side in (1, -1)
+        ),
     ],
 )
 def test_a_ping_without_an_echo_says_why(bodies, pose, message):
@@ -412,6 +438,26 @@ def test_a_surface_too_far_to_be_drawn_is_named_with_its_distance(azimuth_fov_de
         "no echo came back: the nearest surface in the fan lies at 2.00 km, beyond range_max_m = 20; the scene "
         f"measures 1000 x 4000 x 3000 m: {MILLIMETRES}"
     ]
+
+
+@pytest.mark.parametrize("azimuth_fov_deg", [90.0, 180.0, 360.0])
+@pytest.mark.parametrize(
+    ("share", "elevation_deg", "is_in_fan"), [(0.49, 9.8, True), (0.49, 11, False), (0.25, -11, False)]
+)
+def test_a_far_surface_near_the_upper_end_of_the_fan_is_in_it_or_not(
+    azimuth_fov_deg, share, elevation_deg, is_in_fan
+):
+    """The end is a cone: a plane that meets it straight ahead at 10 degrees lies at 7 degrees, 45 degrees aside."""
+    place = sg.pose(yaw=math.radians(share * azimuth_fov_deg), pitch=-math.radians(elevation_deg))
+    far = sg.Body("far", trimesh.creation.icosphere(1, 0.5), place @ sg.pose(400.5), 1.0)
+    with (
+        simulator([far], sonar=replace(SONAR, azimuth_fov_deg=azimuth_fov_deg)) as it,
+        pytest.warns(UserWarning) as caught,
+    ):
+        it.ping(sg.pose())
+    (text,) = (str(w.message) for w in caught)
+    assert ("the nearest surface in the fan lies at 400.0" in text) == is_in_fan
+    assert ("no surface lies in the fan; the nearest is 'far', 400.0" in text) == (not is_in_fan)
 
 
 def test_a_far_surface_beside_the_fan_is_in_its_direction():

@@ -7,15 +7,18 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
+import sonar_gl as sg
 from sonar_gl.analysis.terms import TERMS
 from tests.support import browser
-from tools import drivers
+from tools import drivers, internals
 from tools.bench import harness
 from tools.bench.harness import Aim, Contender
 from tools.chart.front import by_scene
@@ -125,6 +128,16 @@ def test_a_page_is_kept_where_its_command_fails(tmp_path, monkeypatch):
     with pytest.raises(SystemExit, match=r"must have a command with its output below it"):
         fill_printed(page, only="three")
     assert page.read_text() == PAGE.format(word="one")
+
+
+def test_each_stage_of_a_ping_takes_a_part_of_its_time():
+    ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(2, 0.5), sg.pose(4))])
+    with sg.Simulator(ball, sg.load_sonar("p900-45"), sampling=sg.Sampling(1, 40)) as simulator:
+        simulator.ping(sg.pose())
+        clock, start = internals.StageClock(simulator), time.perf_counter()
+        simulator.ping(sg.pose())
+        took_ms, stages_ms = 1e3 * (time.perf_counter() - start), clock.lap_ms()
+    assert len(stages_ms) == len(internals.STAGES) and min(stages_ms) > 0 and sum(stages_ms) < took_ms
 
 
 def test_a_table_replaces_that_between_its_marks(tmp_path):

@@ -5,6 +5,7 @@ import math
 import re
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
-from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import error_model, visibility
 from sonar_gl.engine.flow import Plan
@@ -22,6 +23,7 @@ from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.visibility import (
+    BodyCounts,
     BodyExtents,
     Reception,
     count_bodies,
@@ -177,6 +179,39 @@ def test_a_thin_body_between_two_beams_is_not_seen():
     assert not is_seen_before_a_wall(GAPS, upright)
 
 
+@pytest.mark.parametrize(("range_m", "is_seen"), [(19.5, True), (20.5, False)])
+def test_a_thin_body_in_a_corner_of_the_sector_is_seen_within_the_range(range_m, is_seen):
+    """At 21 degrees; both lie ahead by less than the range of 20 m."""
+    place = sg.pose(yaw=math.radians(21)) @ sg.pose(range_m)
+    rod = sg.Body("rod", trimesh.creation.box((0.004, 0.004, 1.0)), place)
+    assert is_seen_before_a_wall(SONAR, rod, wall_m=60.0) == is_seen
+
+
+def test_points_lie_on_the_held_parts_of_all_edges():
+    """Between x = 0 and 4, and below the water."""
+    slab = SimpleNamespace(normals=np.array([[1.0, 0, 0], [-1, 0, 0]]), offsets_m=np.array([0.0, 4.0]))
+
+    def points(*edges, below_m=None):
+        edges = np.array(edges, np.float64)
+        return visibility.points_within(slab, edges, np.ones(edges.shape[:2]) if below_m is None else below_m)
+
+    across = points([[-3, 1, 2], [9, 1, 2]])
+    np.testing.assert_allclose(across, np.stack([np.arange(256) / 64, np.ones(256), np.full(256, 2.0)], 1))
+    back = points([[3, 0, 0], [-5, 8, 0]])
+    assert back[0].tolist() == [3, 0, 0] and back[-1] == pytest.approx([3 / 256, 3 - 3 / 256, 0])
+    wet = points([[1, 0, 0], [3, 0, 0]], below_m=np.array([[-1.0, 3.0]]))
+    assert wet[:, 0].min() == pytest.approx(1.5) and wet[:, 0].max() > 2.99
+    # it enters the water before the slab, and leaves it after the slab
+    entered = points([[-1, 0, 0], [3, 0, 0]], below_m=np.array([[-1.0, 9.0]]))
+    left = points([[3, 0, 0], [-1, 0, 0]], below_m=np.array([[9.0, -1.0]]))
+    assert entered[:, 0].min() == 0 and left[:, 0].min() == pytest.approx(3 / 256)
+    both = points(*[[[-1, y, 0], [5, y, 0]] for y in (0, 1)])
+    assert len(both) == 256 and not set(both[both[:, 1] == 0, 0]) & set(both[both[:, 1] == 1, 0])
+    many = points(*[[[1, y, 0], [2, y, 0]] for y in range(1000)])
+    assert 200 < len(many) <= 256 and max(np.diff(np.unique(many[:, 1]))) <= 4 and many[:, 1].max() > 990
+    assert not len(points([[5, 0, 0], [9, 0, 0]])) and not len(points([[-5, 0, 0], [-1, 9, 0]]))
+
+
 @pytest.mark.parametrize("azimuth_deg", [-150, 30, 90])
 def test_edges_are_cut_for_the_sector_that_holds_the_body_alone(azimuth_deg, monkeypatch):
     """A fan of six sectors, and a body in the middle of one: to cut a thousand bodies for all took seconds."""
@@ -282,6 +317,13 @@ class TestMoving:
         assert [k for k, (estimated, _) in enumerate(estimates) if estimated] == [
             k * CHECK_EVERY for k in range(4)
         ]
+
+    def test_a_fifth_more_or_less_of_the_echo_is_a_change(self):
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            total = simulator.ping(sg.pose()).intensity.sum(dtype=np.float64)
+            sampler = simulator.run.sampler
+            changed = [sampler.has_changed(share * total) for share in (0, 0.79, 0.81, 1.19, 1.21)]
+        assert changed == [True, True, False, False, True]
 
     def test_an_interrupted_choice_is_made_anew(self, monkeypatch):
         with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
@@ -443,18 +485,60 @@ class TestMoving:
         assert levels[0] == levels[2] == 0 and levels[1] > 8
 
 
-def test_the_trigger_s_angle_is_that_of_the_rotation():
-    """A quarter of the field of view, 11.25 degrees, and half the aperture, 10: the smaller counts, about any axis."""
+@pytest.mark.parametrize(
+    ("azimuth_fov_deg", "elevation_fov_deg", "bound_deg"),
+    [(45.0, 20.0, 10.0), (30.0, 60.0, 7.5), (180.0, 90.0, 30.0)],
+)
+def test_the_trigger_s_angle_is_that_of_the_rotation(azimuth_fov_deg, elevation_fov_deg, bound_deg):
+    """A quarter of the field of view, half the aperture, or 30 degrees: the smallest counts, about any axis."""
     state = SceneState(np.empty((0, 4, 4)), np.empty(0, bool))
+    sonar = replace(SONAR, azimuth_fov_deg=azimuth_fov_deg, elevation_fov_deg=elevation_fov_deg)
     trigger, instrument = (
-        ReplanTrigger(SONAR, lambda state: np.ones(len(state.poses))),
-        Instrument(SONAR, IDEAL),
+        ReplanTrigger(sonar, lambda state: np.ones(len(state.poses))),
+        Instrument(sonar, IDEAL),
     )
     for axis in ("roll", "pitch", "yaw"):
-        for angle_deg, is_due in ((9.9, False), (10.1, True), (-9.9, False), (-10.1, True), (179.0, True)):
-            turned = sg.pose(**{axis: math.radians(angle_deg)})
-            before, after = (instrument.set_up(PingRequest(at), state, 0) for at in (np.eye(4), turned))
-            assert trigger.is_due(before, after, 1) == is_due
+        for more_deg, is_due in ((-0.1, False), (0.1, True), (150.0, True)):
+            for side in (1, -1):
+                turned = sg.pose(**{axis: side * math.radians(bound_deg + more_deg)})
+                before, after = (instrument.set_up(PingRequest(at), state, 0) for at in (np.eye(4), turned))
+                assert trigger.is_due(before, after, 1) == is_due
+
+
+FAR_M = 0.05 * SONAR.range_max_m
+
+
+@pytest.mark.parametrize(
+    ("pose", "second", "mu", "present", "due_after", "is_far"),
+    [
+        (sg.pose(), sg.pose(), [0.2, 0.8], [1, 1], None, False),  # nothing changes
+        (sg.pose(0, 0.98 * FAR_M), sg.pose(), [0.2, 0.8], [1, 1], CHECK_EVERY, False),
+        (sg.pose(0, 1.02 * FAR_M), sg.pose(), [0.2, 0.8], [1, 1], 1, True),
+        (sg.pose(yaw=1e-3), sg.pose(), [0.2, 0.8], [1, 1], CHECK_EVERY, False),
+        (sg.pose(), sg.pose(0.98 * FAR_M), [0.2, 0.8], [1, 1], CHECK_EVERY, False),
+        (sg.pose(), sg.pose(1.02 * FAR_M), [0.2, 0.8], [1, 1], 1, True),
+        (sg.pose(), sg.pose(roll=0.5), [0.2, 0.8], [1, 1], 1, True),
+        (sg.pose(), sg.pose(), [0.2, 0.41], [1, 1], CHECK_EVERY, False),
+        (sg.pose(), sg.pose(), [0.2, 0.39], [1, 1], 1, True),
+        (sg.pose(), sg.pose(), [0.41, 0.8], [1, 1], 1, True),
+        (sg.pose(), sg.pose(), [0.2, 0.8], [0, 1], 1, True),
+    ],
+)
+def test_what_has_the_error_estimated_again(pose, second, mu, present, due_after, is_far):
+    """At once, after CHECK_EVERY pings, or never; of three bodies the last is absent, however it changes."""
+    trigger, instrument = ReplanTrigger(SONAR, lambda state: state.reflectivity), Instrument(SONAR, IDEAL)
+    still = SceneState(
+        np.tile(np.eye(4), (3, 1, 1)), np.array([1, 1, 0], bool), reflectivity=np.array([0.2, 0.8, 0.1])
+    )
+    moved = replace(
+        still, poses=np.array([np.eye(4), second, np.eye(4)]), present=np.array([*present, 0], bool)
+    )
+    moved = replace(moved, reflectivity=np.array([*mu, 0.9]))
+    before = instrument.set_up(PingRequest(np.eye(4)), still, 0)
+    after = instrument.set_up(PingRequest(pose), moved, 0)
+    due = [n for n in (1, CHECK_EVERY - 1, CHECK_EVERY) if trigger.is_due(before, after, n)]
+    assert due == [n for n in (1, CHECK_EVERY - 1, CHECK_EVERY) if due_after is not None and n >= due_after]
+    assert trigger.is_far(before, after) == is_far
 
 
 def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
@@ -578,6 +662,29 @@ def test_the_promise_counts_what_strips_take_of_thin_upright_parts(bodies, seed)
     assert worst_body(ping, truth)[0] <= WORST_BODY * tolerance
 
 
+@pytest.mark.parametrize("stripes", ["along rows", "across rows"])
+def test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples(stripes):
+    """By NumPy: of stripes of reflectivities at random, at other ranges in each row; they show across them alone."""
+    fan, random = make_fan(SONAR, sg.Sampling(2, 60), BeamShape(0.0)), np.random.default_rng(0)
+    (sector,) = fan.sectors
+    u, v = sector.sample_coordinates()
+    j, i = np.indices(u.shape)
+    is_on, length = (i >= 40) & (i < 70) & (j >= 20) & (j < 40), np.sqrt(1 + u * u + v * v)
+    mu = np.where(is_on, random.random(200)[i if stripes == "across rows" else j], 0.0)
+    q, gain = length / SONAR.range_m[40 + j], random.random(SONAR.n_bins).astype(np.float32)
+    plane_echo = np.stack([q, 0 * q, 0 * q, mu * length / q], axis=-1).astype(np.float32)
+    table = 1 + np.linspace(-1, 1, 4001)  # of a pattern that rises with the sine of the elevation
+    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, table, [np.empty(0)])
+    found = count_bodies([SectorSamples(sector, plane_echo, is_on.astype(np.uint16))], 1, reception)
+    angle = np.linalg.det(sector.steps) / length**3
+    echo = mu * angle * gain[40 + j] * (1 + v / length)
+    assert found.samples.tolist() == [0, 600]
+    assert found.echo[1] == pytest.approx(echo.sum(), rel=1e-3)  # the nearest entry of the table
+    inside = echo[20:40, 40:70]
+    both = ((np.diff(inside, axis=axis) ** 2).sum() for axis in (0, 1))
+    assert found.unevenness[1] == pytest.approx(math.sqrt(max(both) / 2), rel=1e-3)
+
+
 def with_gaps(rod_deg, range_m, *more):
     """Return a ping of a rod before a wall by boxes of 0.6 degrees every 2 degrees, one of them at 3 degrees."""
     sonar = sg.Sonar("gaps", 900e3, 24, 200, 48.0, 20.0, 0.6, 0.5, 12.0)
@@ -689,6 +796,18 @@ def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
     ):
         assert angle(**inside) > 0 and angle(**beyond) == 0
     assert angle() >= 2 * math.pi * (1 - math.cos(math.asin(0.1)))  # at least what the ball itself fills
+
+
+def test_vertices_without_a_face_do_not_extend_a_body():
+    ball = trimesh.creation.icosphere(2, 0.5)
+    more = trimesh.Trimesh([*ball.vertices, [0, 0, 40]], ball.faces, process=False)
+    state, even = SceneState(sg.pose(10)[None], np.ones(1, bool)), np.ones(SONAR.n_bins)
+    reception = Reception(SONAR, 0.0, math.radians(10), False, even, np.zeros(0), ())
+    found, expected = (
+        BodyExtents([sg.Body("ball", mesh, sg.pose(10))]).greatest_echo(state, np.eye(4), reception)
+        for mesh in (more, ball)
+    )
+    assert found.tolist() == expected.tolist()
 
 
 class TestSideLobes:
@@ -828,6 +947,20 @@ class TestPlan:
             simulator.place({"rod 0": rods[9].pose})
             assert simulator.ping(sg.pose()).error_estimate == (None if change == "add" else plan.bound)
 
+    def test_a_plan_estimates_no_error_of_other_bubbles_nor_at_another_gain(self):
+        wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(12))
+        scene = sg.Scene([wall, sg.Bubbles("plume", sg.pose(8, 0, -1))])
+        acoustics = sg.Acoustics.physical(tvg_absorption_db_m=0.2)  # else the TVG follows the water
+        with sg.Simulator(scene, SONAR, acoustics) as simulator:
+            plan = simulator.plan([sg.pose()])
+            assert simulator.ping(sg.pose()).error_estimate == plan.bound
+            for other in (
+                {"bodies": {"plume": None}},
+                {"time_s": 4.0},
+                {"water": replace(acoustics.water, absorption_db_m=0.5)},
+            ):
+                assert simulator.ping(sg.pose(), **other).error_estimate is None
+
     def test_fixed_samples_need_no_plan(self):
         with sg.Simulator(TestMoving().scene(), SONAR, IDEAL, sg.Sampling(2, 32)) as simulator:
             assert simulator.plan([np.eye(4)]) is None
@@ -841,6 +974,8 @@ class TestPlan:
             with pytest.warns(ToleranceWarning, match="^tolerance 0.001 cannot be met here: ") as caught:
                 ping = simulator.ping(np.eye(4))
             assert "worst body ('ball'); go nearer" in str(caught[0].message)
+            columns = round(ping.meta["sampling"]["columns_per_beam"] * SONAR.n_beams)
+            assert f"fit, {columns} x {ping.meta['sampling']['rows']}, the" in str(caught[0].message)
             assert level(simulator) == 6 and ping.error_estimate > 0.001
             assert not simulator.run.sampler.plan.met
             with warnings.catch_warnings():  # the warning comes once
@@ -1120,6 +1255,72 @@ def test_the_error_by_the_number_of_samples_bounds_that_of_discs_and_squares(n, 
         errors.append(abs(met.sum() / n - 1))
     bound = visibility.body_error(float(n))
     assert bound / 3 < np.quantile(errors, 0.95) < bound
+
+
+# samples, unevenness and strands on a body of echo 1, its echo before and as strips take it, and the error that follows
+MANY = 900
+BY_NUMBER = 1.8 * (1 + 8 / MANY) / MANY**0.75  # of 900 samples
+SHOWN = 1.37 / math.sqrt(1 + 2**1.5)  # of a difference from half the samples
+JUDGED = {
+    "by the number of samples": (MANY, 0.0, 0.0, 1.0, 1.0, BY_NUMBER),
+    "by few samples": (40, 0.0, 0.0, 1.0, 1.0, 1.8 * 1.2 / 40**0.75),
+    "by the difference": (MANY, 0.0, 0.0, 0.9, 1.0, 0.1 * SHOWN),
+    "by the difference, as well as it may": (MANY, 0.0, 0.0, 0.864, 1.0, 0.136 * SHOWN),
+    "by the difference the other way": (MANY, 0.0, 0.0, 1.2, 1.0, 0.2 * SHOWN),
+    "of so many samples the difference tells nothing": (1000, 0.0, 0.0, 0.5, 1.0, 1.8 * 1.008 / 1000**0.75),
+    "by uneven samples": (MANY, 0.05, 0.0, 1.0, 1.0, 0.075),
+    "by strands": (MANY, 0.0, 120.0, 1.0, 1.0, 2 * BY_NUMBER),
+    "by strips": (MANY, 0.0, 0.0, 1.0, 0.93, math.hypot(0.07, BY_NUMBER)),
+    "by strips that take too much": (MANY, 0.0, 0.0, 0.9, 1.05, math.hypot(0.05, 0.1 * SHOWN)),
+    "at most all": (MANY, 0.0, 0.0, 9.0, 1.0, 1.0),
+}
+
+
+@pytest.mark.parametrize(
+    ("samples", "unevenness", "strands", "before", "taken", "error"), JUDGED.values(), ids=list(JUDGED)
+)
+def test_the_error_of_a_body_is_judged_by_what_its_samples_show(
+    samples, unevenness, strands, before, taken, error
+):
+    """As stated in numbers; a third body returns too little to count, whatever it errs."""
+    level, tolerance = 12, 0.02
+    bodies = [sg.Body(name, trimesh.creation.box((1, 1, 1)), sg.pose(5)) for name in "abc"]
+    with sg.Simulator(sg.Scene(bodies), SONAR, IDEAL, tolerance=tolerance) as simulator:
+        run = simulator.run
+        model, setup = run.sampler.search.model, run.set_up(PingRequest(np.eye(4)))
+        with run.drawing():
+            fine = model.draw(setup, level)
+            coarse = model.coarser_stage(fine.stage)
+        of_fine = BodyCounts(
+            samples=np.array([0.0, 2000.0, samples, 9.0]),
+            echo=np.array([0.0, 5.0, 1.0, 0.0029]),
+            of_strips=np.array([0.0, 5.0, taken, 0.0029]),
+            unevenness=np.array([0, 0, unevenness, 0.0]),
+            strands=np.array([0, 0, strands, 0.0]),
+        )
+        of_coarse = of_fine._replace(echo=np.array([0.0, 5.0, before, 0.01]))
+        echo = np.zeros_like(fine.echo.intensity)
+        echo[3, 5:9] = 1.0
+        other = echo.copy()
+        other[3, 5], other[4, 5] = 0.98, 0.02  # a hundredth of the echo lies elsewhere
+        tried = fine._replace(echo=BeamEcho(echo, 4.0), counts=of_fine)
+        judged = model.judge(
+            setup, level, tried, fine._replace(stage=coarse, echo=BeamEcho(other, 4.0), counts=of_coarse)
+        )
+        ratio = fine.stage.sampling.count(SONAR) / coarse.sampling.count(SONAR)
+    assert ratio == pytest.approx(2, rel=0.03)  # whole columns and rows
+    plan = judged.plan
+    of_strips = abs(taken - 1.0) / 6.0029
+    assert plan.error_estimate == pytest.approx(1.86 * 0.01 / math.sqrt(1 + ratio**1.3) + of_strips, rel=1e-6)
+    assert plan.worst_body_estimate == pytest.approx(error, rel=0.01)
+    assert plan.worst_body == 2
+    # widths of samples that would do: the errors fall as these to the power 1.3, and as the samples to the power 0.75
+    narrower = max(
+        (plan.error_estimate / tolerance) ** (1 / 1.3),
+        (plan.worst_body_estimate / (5 * tolerance)) ** (0.5 / 0.75),
+    )
+    assert judged.steps == min(math.ceil(4 * math.log2(narrower)), 8)
+    assert plan.met == (judged.steps <= 0)
 
 
 def test_the_bound_of_a_plan_is_above_the_tolerance_if_it_is_not_met():

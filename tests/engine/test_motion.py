@@ -181,13 +181,19 @@ def test_zero_velocity_and_ignored_components():
     assert still.meta["velocity"] == [0.0] * 6 and "velocity" not in none.meta
 
 
-def test_labels_move_with_the_echo():
-    with simulator(balls((20, 1, 0), (10, -1, 0))) as run:
-        got = run.ping(HERE, labels=True, velocity=(2, 0, 0, 0, 0, 0.5))
-    for number, place in ((1, (20, 1)), (2, (10, -1))):
+@pytest.mark.parametrize(
+    ("velocity", "places"),
+    [((2, 0, 0, 0, 0, 0.5), ((20, 1), (10, -1))), ((0, 30, 0, 0, 0, 0), ((26, 6.5), (10, -1)))],
+)
+def test_labels_move_with_the_echo(velocity, places):
+    with simulator(balls(*((*place, 0) for place in places))) as run:
+        got = run.ping(HERE, labels=True, velocity=velocity)
+    for number, place in enumerate(places, 1):
         at_rest = math.atan2(place[1], place[0])
-        r = math.hypot(*place) / (1 + 2 * math.cos(at_rest) / 1500.0)
-        azimuth = at_rest - 0.5 * 2 * r / 1500.0 + 2 * 2 * math.sin(at_rest) / 1500.0
+        ahead = velocity[0] * math.cos(at_rest) + velocity[1] * math.sin(at_rest)
+        aside = velocity[1] * math.cos(at_rest) - velocity[0] * math.sin(at_rest)
+        r = math.hypot(*place) / (1 + ahead / 1500.0)
+        azimuth = at_rest - velocity[5] * 2 * r / 1500.0 - 2 * aside / 1500.0
         beam, bin_ = (
             math.floor(x) for x in ((azimuth + 64 * STEP) / STEP, (r - 0.05 - 1.0) / SONAR.bin_size_m)
         )

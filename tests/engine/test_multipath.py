@@ -14,6 +14,7 @@ from sonar_gl.beamform.kernels.image_sources import GRID, estimate_reflection
 from sonar_gl.beamform.kernels.views import SECTOR
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import image_sampling, multipath, pipeline
+from sonar_gl.engine.flow import PingRequest
 from sonar_gl.engine.replan_trigger import CHECK_EVERY
 from sonar_gl.raster.cull import MARGIN
 from sonar_gl.scene.reflectors import (
@@ -667,6 +668,56 @@ def test_a_face_that_only_the_image_sees_has_a_double_bounce(perfect):
     scene, pose = sg.Scene([floor, plate]), sg.pose(0, 0, 1.0)
     # the sonar is above the plate, and sees the lower face in the floor alone
     assert multipath_echo(scene, pose).sum() > 0
+
+
+def images_of(simulator, pose, halvings):
+    """Return the ImageSourceSamples of a ping, with rows halved so often."""
+    run = simulator.run
+    run.image_sampling.fix(halvings)
+    setup = run.set_up(PingRequest(pose))
+    with run.drawing():
+        run.sampler.resolution_for(setup)
+        return pipeline.draw(run.image_sources, [setup], run.resolution_ahead)[0].images
+
+
+@pytest.mark.parametrize("steered", ["alike", "straight"])
+@pytest.mark.parametrize(
+    ("height_m", "place", "radius_m"),
+    [
+        (0.5, (8, 1, 0.6), 0.3),  # the image lies in the dense sectors,
+        (3.0, (6, -1.5, 3), 0.5),  # in those of the skirts and side lobes,
+        (6.0, (5, 1, 6.5), 0.8),
+        (0.3, (4, -2, 2.2), 0.4),  # or there while the body does not
+    ],
+)
+def test_it_is_known_how_many_samples_an_image_has_on_what_the_sonar_sees(
+    perfect, height_m, place, radius_m, steered
+):
+    perfect("floor")
+    azimuths_deg = np.linspace(-40, 20, 24).tolist()  # port and starboard differ
+    sonar = sg.Sonar("test", 900e3, 24, 150, 80.0, 40.0, 4.0, 1.0, 16.0, steered=steered)
+    sonar = replace(sonar, beam_azimuths_deg=azimuths_deg)
+    x, y, z = place
+    scene = sg.Scene([slab("floor", sg.pose(0, 0, -0.5)), ball(x, y, z, radius_m)])
+    acoustics = sg.Acoustics.physical(multipath="incoherent")
+    with sg.Simulator(scene, sonar, acoustics, sg.Sampling(30, 800)) as simulator:
+        _, direct, expected, imaged, *_ = vars(images_of(simulator, sg.pose(0, 0, height_m), 0)).values()
+    of_floor, of_ball = expected.samples[1:]
+    assert of_floor == 0 < direct.samples[1]  # a plane is not seen in itself
+    # as few as 30 samples are read, and the sonar and its image see not quite the same part of the ball
+    assert of_ball == pytest.approx(imaged.samples[2], rel=0.25)
+
+
+def test_a_small_body_whose_image_lies_in_the_side_lobes_keeps_its_multipath():
+    """With these numbers of rows it had none: samples are coarser there, and the few of weak multipath missed it."""
+    sonar = sg.Sonar("test", 900e3, 24, 150, 80.0, 40.0, 4.0, 1.0, 16.0, bandwidth_hz=8e3)
+    scene = sg.Scene([ball(6.0, 1.5, -3, 0.1)], surface_z_m=0.0, surface_roughness_m=0.0)
+    acoustics, pose = sg.Acoustics.physical(multipath="incoherent"), sg.pose(0, 0, -3)
+    echo = [
+        float(multipath_echo(scene, pose, acoustics, sonar, sg.Sampling(53.33, rows)).sum())
+        for rows in (491, 504, 569, 673)
+    ]
+    assert min(echo) > 0.9 * max(echo) > 0  # measured: 4 % apart
 
 
 @pytest.mark.slow

@@ -1,7 +1,10 @@
+import gc
+import sys
+
 import pytest
 
 from sonar_gl.core.errors import Error
-from sonar_gl.gl.context import is_software
+from sonar_gl.gl.context import create_context, is_software
 
 
 @pytest.mark.parametrize(
@@ -31,3 +34,17 @@ def test_another_value_of_the_variable_raises_an_error(monkeypatch):
     monkeypatch.setenv("SONAR_GL_SOFTWARE", "no")
     with pytest.raises(Error, match="SONAR_GL_SOFTWARE must be 0 or 1, or not be set"):
         is_software("llvmpipe")
+
+
+def test_a_new_context_leaves_no_more_addresses_of_functions():
+    """moderngl keeps what it was given for good, 670 numbers of each context."""
+
+    def n_blocks():
+        create_context().release()
+        gc.collect()
+        return sys.getallocatedblocks()
+
+    before = [n_blocks() for _ in range(3)][-1]
+    assert (
+        [n_blocks() for _ in range(5)][-1] - before
+    ) / 5 < 600  # of which nearly all are names of extensions

@@ -139,6 +139,25 @@ def test_faint_bins_at_the_ends_of_a_body_do_not_decide_its_box():
     # what holds more than 0.5 %, in all at one end, stays
     body_id[3, 40:46], intensity[3, 40:46] = 1, 3e-4
     assert boxes_of(ping, 300).beams.tolist() == [[3, 29]]
+    # a glint at an end, too: 255 of 32 500 counts
+    body_id[3, 40:46], intensity[3, 40:46] = 0, 0
+    body_id[3, 44], intensity[3, 44] = 1, 1e5
+    assert boxes_of(ping, 300).beams.tolist() == [[3, 29]]
+
+
+@pytest.mark.parametrize(("n_bins", "is_left_out"), [(200, True), (199, False)])
+def test_an_end_of_exactly_half_a_per_cent_is_left_out(n_bins, is_left_out):
+    """Of bins that are equally bright one lies apart, at either end of beams or range."""
+    for apart in ((3, 45), (55, 45), (25, 2), (25, 70)):
+        body_id = np.zeros((60, 80), np.uint16)
+        body_id[20:30, 30:50] = 1
+        body_id[22, 40 : 241 - n_bins] = 0  # in the middle
+        body_id[apart] = 1
+        boxes = boxes_of(labelled(body_id), 300)
+        (beams,), (bins,) = boxes.beams.tolist(), boxes.bins.tolist()
+        assert boxes.n_bins.tolist() == [n_bins - is_left_out]
+        for found, inner, outer in zip((beams, bins), ([20, 29], [30, 49]), apart, strict=True):
+            assert found == (inner if is_left_out else [min(inner[0], outer), max(inner[1], outer)])
 
 
 def bright_ping(body_id, fov_deg):
@@ -187,7 +206,8 @@ def test_a_box_may_lie_across_the_seam_of_a_full_circle():
     """Its ends are those of the widest gap, wherever the first beam points."""
     body_id, intensity = np.zeros((90, 60), np.uint16), np.zeros((90, 60), np.float32)
     body_id[20:30, 30:40], intensity[20:30, 30:40] = 1, 0.5
-    body_id[70, 35], intensity[70, 35] = 1, 1e-4
+    for beam in (5, 35, 70):  # of which the widest gap ends at the last
+        body_id[beam, 35], intensity[beam, 35] = 1, 1e-4
     ping = bright_ping(np.ones((90, 60)), 360.0)
     for turn in (0, 65, 67, 45):
         at = {"body_id": np.roll(body_id, turn, axis=0), "intensity": np.roll(intensity, turn, axis=0)}
@@ -198,8 +218,14 @@ def test_a_box_may_lie_across_the_seam_of_a_full_circle():
         rows, columns = np.nonzero(bodies)
         size = [np.ptp(columns) + 1, np.ptp(rows) + 1]
         assert boxes.pixels.tolist() == [[columns.min(), rows.min(), *size]] and max(size) < 150
-    around = replace(ping, intensity=np.ones((90, 60), np.float32))  # without a gap there is no end
-    assert boxes_of(around, 400).beams.tolist() == [[0, 89]]
+    around = np.ones((90, 60), np.float32)
+    around[:3] = 1e-5  # at 13 counts: without a gap there is no end
+    assert boxes_of(replace(ping, intensity=around), 400).beams.tolist() == [[0, 89]]
+    # the widest gap, of 40 beams, lies half before and half behind the seam; another one has 35
+    halves = np.zeros((90, 60), np.uint16)
+    halves[[*range(20, 30), *range(65, 70)]] = 1
+    ping = replace(ping, body_id=halves, intensity=halves.astype(np.float32))
+    assert boxes_of(ping, 400).beams.tolist() == [[20, 69]]
 
 
 def test_a_body_between_pixels_across_the_seam_has_the_nearest_one():

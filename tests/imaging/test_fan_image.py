@@ -172,6 +172,7 @@ def test_uneven_beams_cover_a_circle_at_most():
     geometry = fan_geometry(ping, 300)
     assert np.degrees(geometry.azimuth_edges_rad) == pytest.approx([-180, 180], abs=1e-12)
     assert geometry.full_circle and fan_image(ping, 300).shape == (300, 300)
+    assert not fan_geometry(fan_ping(359.99), 300).full_circle
 
 
 def test_bins_from_0_on_have_their_edge_at_0_whatever_rounding_leaves():

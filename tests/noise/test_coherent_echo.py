@@ -72,10 +72,11 @@ def test_texture_acts_on_the_diffuse_echo_alone():
     assert found.std() == pytest.approx(sigma, rel=SIGMAS * np.sqrt(6 / n))
 
 
-def test_without_speckle_the_part_does_not_matter():
+def test_without_speckle_neither_the_part_nor_a_texture_matters():
     ping = even_ping(pose=pose(0.2, 0.2))
     noise = Noise(ambient_db=-20.0)
-    part = replace(ping, coherent=np.full_like(ping.intensity, 0.5))
+    half = np.full_like(ping.intensity, 0.5)
+    part = replace(ping, coherent=half, texture_deviation=half)
     assert (add_noise(part, noise, 1).intensity == add_noise(ping, noise, 1).intensity).all()
 
 

@@ -2,12 +2,12 @@
 
 import sys
 from dataclasses import replace
-from itertools import count, pairwise
+from itertools import combinations, count, pairwise
 
 import numpy as np
 import pytest
 
-from sonar_gl import pose
+from sonar_gl import Water, pose
 from sonar_gl.acoustics.pulse import PulseResponse
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.gaussian import standard_normal
@@ -324,6 +324,27 @@ def test_heave_roll_and_pitch_leave_the_pattern():
         for z, roll, pitch in ((0, 0, 0), (-7.0, 0.3, -0.4))
     )
     np.testing.assert_allclose(tilted, level, rtol=0, atol=4e-6)  # float32, of up to 12
+
+
+def test_the_pattern_is_that_of_the_wavelength_in_the_water():
+    """The same at a frequency higher by a ratio, and in water in which sound is faster by it."""
+    ping = even_ping(pose=pose(0.2, 0.2))
+    higher = replace(ping, sonar=replace(ping.sonar, frequency_hz=1.1 * FREQUENCY_HZ))
+    faster = even_ping(pose=pose(0.2, 0.2), water=Water(sound_speed_m_s=1.1 * SOUND_SPEED_M_S))
+    both = replace(faster, sonar=higher.sonar)
+    for found, expected in (
+        (both, ping),
+        (faster, replace(ping, sonar=replace(ping.sonar, frequency_hz=FREQUENCY_HZ / 1.1))),
+    ):
+        assert correlation(patterns(PLACE_LOCKED, found), patterns(PLACE_LOCKED, expected)) > 0.999
+    assert correlation(patterns(PLACE_LOCKED, higher), patterns(PLACE_LOCKED, ping)) < 0.5
+
+
+def test_each_cell_of_the_sea_has_a_pattern_of_its_own():
+    """At one place within it, of cells half a metre apart along either axis."""
+    places = ((0, 0), (1, 0), (0, 1), (1, 1), (-1, 0), (0, -1))
+    found = [patterns(PLACE_LOCKED, even_ping(pose=pose(0.2 + x / 2, 0.2 + y / 2)))[0] for x, y in places]
+    assert max(correlation(a, b) for a, b in combinations(found, 2)) < 0.1
 
 
 def test_cells_of_the_sea_fade_into_each_other():

@@ -182,15 +182,17 @@ def test_a_tvg_needs_the_sonar():
     )
 
 
-def test_echo_and_noise_add_as_fields():
+@pytest.mark.parametrize("level", [1.0, 0.09])
+def test_echo_and_noise_add_as_fields(level):
     """Without speckle the amplitude is Rician: echo E and noise N give mean E + N, variance N² + 2 E N."""
-    ping = even_ping(100, 4000, 2.0)
-    x = noisy(Noise(ambient_db=-10.0), ping)
-    assert x.mean() == pytest.approx(1.1, abs=SIGMAS * np.sqrt(0.21 / x.size))
-    assert x.var() == pytest.approx(0.21, rel=SIGMAS * np.sqrt(3 / x.size))
+    ping, mean = even_ping(100, 4000, 2.0, level=level), level + 0.1
+    x, variance = noisy(Noise(ambient_db=-10.0), ping), 0.01 + 0.2 * level
+    assert x.mean() == pytest.approx(mean, abs=SIGMAS * np.sqrt(variance / x.size))
+    # the variance's own error is that of an exponential variate, or less
+    assert x.var() == pytest.approx(variance, rel=SIGMAS * np.sqrt(8 / x.size))
     speckled = noisy(Noise(speckle=True, ambient_db=-10.0), ping)
-    assert speckled.mean() == pytest.approx(1.1, rel=SIGMAS / np.sqrt(x.size))
-    assert speckled.std() == pytest.approx(1.1, rel=SIGMAS * np.sqrt(2 / x.size))
+    assert speckled.mean() == pytest.approx(mean, rel=SIGMAS / np.sqrt(x.size))
+    assert speckled.std() == pytest.approx(mean, rel=SIGMAS * np.sqrt(2 / x.size))
 
 
 @pytest.mark.parametrize(
@@ -218,6 +220,18 @@ def test_interference():
     assert np.median(brightest) == pytest.approx(0.01, rel=0.2) and min(brightest) > 0.008
     first, second = (add_noise(ping, noise, 5, 3).intensity.tobytes() for _ in range(2))
     assert first == second
+
+
+def test_interference_rises_with_the_tvg():
+    """Of the same pulses."""
+    noise, laws = Noise(interference_lines=20.0, interference_db=-20.0), ("sonar_equation", "constant")
+    rising, even = (
+        noisy(noise, even_ping(8, 400, 0.5, level=0.0, range_law=law, tvg_k=30.0)) for law in laws
+    )
+    r, is_on = even_ping(n_bins=400).range_m, even > 0
+    expected = r**3 * 10 ** (2 * Acoustics.ideal().water.absorption(FREQUENCY_HZ) * r / 10)
+    np.testing.assert_allclose(rising[is_on], (even * expected)[is_on], rtol=1e-5)  # float32
+    assert is_on.any(axis=0).sum() > 60 and not rising[~is_on].any()
 
 
 def test_interference_comes_evenly_from_the_fan_and_over_the_range():

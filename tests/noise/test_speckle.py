@@ -251,8 +251,9 @@ def test_a_taper_widens_the_correlation(fov_deg):
     [
         ({}, 0.5),
         ({"beam_pattern": "line_array", "receive_taper": "hamming"}, hamming_correlation(1.302982 / 2) ** 2),
+        ({"beam_pattern": "box", "receive_taper": "hamming"}, 0.5),
     ],
-    ids=["uniform", "hamming"],
+    ids=["uniform", "hamming", "no array"],
 )
 def test_the_taper_is_that_of_the_ping(settings, expected):
     x = speckled(even_ping(64, 2000, 0.5, **settings))

@@ -491,3 +491,25 @@ def test_samples_that_are_read_later_are_the_same(monkeypatch):
         np.testing.assert_array_equal(one.intensity, other.intensity)
         for name in ("body_id", "incidence_rad", "share"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_windows_that_take_turns_share_a_render_target_which_becomes_smaller_after_many_small_ones(
+    monkeypatch,
+):
+    """Early versions made it anew for each small window, and for each large one after it."""
+    n_bytes, check_room = [], renderer.check_room
+    monkeypatch.setattr(
+        renderer, "check_room", lambda context, n: n_bytes.append(n) or check_room(context, n)
+    )
+    monkeypatch.setattr(renderer, "MIN_PIXELS", 1)
+    monkeypatch.setattr(renderer, "USES_BEFORE_SMALLER", 3)
+    near, far = sg.pose(3.5, 1), sg.pose(-12)
+    with simulate([sg.Body("box", BOX, sg.pose(5, 1, 0.3, yaw=0.4))]) as simulator:
+        expected = {id(pose): simulator.ping(pose).intensity for pose in (far, near)}
+        del n_bytes[:-1]
+        for pose in (far, near, far, far, near, near, far):
+            np.testing.assert_array_equal(simulator.ping(pose).intensity, expected[id(pose)])
+        assert len(n_bytes) == 1
+        for _ in range(4):
+            np.testing.assert_array_equal(simulator.ping(far).intensity, expected[id(far)])
+        assert len(n_bytes) == 2 and n_bytes[1] < n_bytes[0]

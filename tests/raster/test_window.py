@@ -102,3 +102,27 @@ def test_without_bodies_ahead_nothing_is_drawn():
         behind, sg.load_sonar("p900-45"), np.eye(4), sg.Sampling(1, 100)
     )
     assert len(samples) == n_outside == share == 0
+
+
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_a_view_is_summed_as_its_sectors_are(engine):
+    """In one call, to the bit; the engine that knows leaves out sectors in which nothing is."""
+    floor = sg.Body("floor", trimesh.creation.box((60, 60, 0.1)), sg.pose(0, 0, -4), 0.3)
+    ball = sg.Body("ball", trimesh.creation.icosphere(2, 0.5), sg.pose(6, 1, 0))
+    device = sg.Acoustics.physical()
+    with sg.Simulator(
+        sg.Scene([floor, ball]), sg.load_sonar("p900-45"), device, sg.Sampling(1, 60), engine=engine
+    ) as simulator:
+        run = simulator.run
+        stage, gain = run.sampler.resolution.stage, np.linspace(1, 2, run.instrument.sonar.n_bins)
+        with run.drawing():
+            (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
+            gain = gain.astype(np.float32)
+            whole = stage.beamformer.sum_view(view, gain)
+            parts = stage.beamformer.sum_footprints(view.sectors, gain, view.body_spans)
+    np.testing.assert_array_equal(whole.intensity, parts.intensity)
+    assert whole.total == parts.total > 0
+    if engine == "cpu":
+        is_dark = np.array([not one.plane_echo.any() for one in view.sectors])
+        assert 0 < is_dark.sum() < len(is_dark)
+        np.testing.assert_array_equal(view.table[0][:, 2] == 0, is_dark)

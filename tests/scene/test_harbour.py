@@ -89,8 +89,10 @@ def test_stones_lie_on_the_silt_or_on_each_other(scene):
 
 
 def test_wall_and_piles_are_bright_and_silt_is_dim(scene, ping):
+    own = ping.share * ping.intensity  # side lobes of the wall lie over what is before it
+
     def level_db(name):
-        return 10 * np.log10(np.median(ping.intensity[bins_of(scene, ping, name)]))
+        return 10 * np.log10(np.median(own[bins_of(scene, ping, name)]))
 
     silt = level_db("floor")
     for name in ("quay", "pile_3", "pile_4", "pile_5", "rubble", "sinker", "chain"):

@@ -27,7 +27,7 @@ def beam_tiles(first, weights) -> BeamTiles:
     """Lay the weights of beams side by side, TILE_BEAMS at a time; arguments as `beam_weights` returns them."""
     (B, W), corners = weights.shape, np.arange(0, len(first), TILE_BEAMS)
     starts = np.minimum.reduceat(first, corners)
-    n_columns = W + TILE_BEAMS + (np.maximum.reduceat(first, corners) - starts).max()
+    n_columns = W + (np.maximum.reduceat(first, corners) - starts).max()
     out = np.zeros((len(starts), n_columns + -n_columns % 4, TILE_BEAMS), np.float32)
     tile, of_tile = np.divmod(np.arange(B), TILE_BEAMS)
     columns = (first - starts[tile])[:, None] + np.arange(W)

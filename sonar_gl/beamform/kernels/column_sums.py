@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import uint64
 
 from sonar_gl.beamform.kernels.footprints import find_footprints, keep_within_bodies
@@ -19,7 +20,7 @@ from sonar_gl.beamform.kernels.spreading import (
     spread_footprints,
 )
 from sonar_gl.beamform.kernels.strips import Lattice, StripTable, find_strip, is_beside
-from sonar_gl.core.compiled import compiled, uncounted
+from sonar_gl.core.compiled import compiled, from_column, uncounted
 
 
 @compiled
@@ -29,7 +30,8 @@ def sum_footprints(
     face_id,
     body_id,
     body_spans,
-    lattice,
+    table,
+    first_strip,
     strips,
     bins,
     spread,
@@ -37,7 +39,9 @@ def sum_footprints(
     sums,
     spans,
 ):
-    """Sum some of one sector's samples into columns and bins.
+    """Sum some of the samples of sectors into columns and bins.
+
+    One call sums all sectors of a view: to hand arrays over takes as long as the few samples of a sector of side lobes.
 
     The surface in a sample's rectangle is the plane that its ray met. There 1/r is linear in (u, v) but for
     the slow length of the ray: the share before r is that of two convolved boxes, exact for planes. It is cut
@@ -45,24 +49,40 @@ def sum_footprints(
 
     Parameters
     ----------
-    work, plane_echo, face_id : as in `find_strip`
-    body_id : (R, C) uint16, in `whole_rows`
+    work : of `make_work`, overwritten
+    plane_echo, face_id, body_id : image of the samples of all sectors, as in `ViewSamples`
     body_spans : of `ViewSamples`; of no length if it or `body_id` is not known
-    lattice, strips, bins : tuples of Lattice, StripTable and BinTable
+    table, strips, bins : tuples of SectorTable, StripTable and BinTable
+    first_strip : (S + 1,) int64, first strip of each sector, and past the last
     spread : True spreads each sample over its footprint, False adds it to one bin
     elevation_pattern : (n,) two-way beam pattern at even sines of elevation from -1 to 1, or of no length
     sums : (columns, K) float32, μ cos θ times steradians; the rows of these strips are added to
     spans : (columns, 2) int64, first bin and past the last outside which a row of sums is zero; widened
     """
-    samples = plane_echo, face_id, body_id, body_spans, Lattice(*lattice)
-    _sum_strips(work, samples, StripTable(*strips), BinTable(*bins), spread, elevation_pattern, sums, spans)
+    (places, u, v, limits), strips, bins = table, StripTable(*strips), BinTable(*bins)
+    for s in range(places.shape[0]):
+        left, columns, rows = places[s, 0], places[s, 1], places[s, 2]
+        if rows == 0:
+            continue
+        samples = (
+            from_column(plane_echo, left, rows),
+            from_column(face_id, left, min(rows, face_id.shape[0])),
+            from_column(body_id, left, min(rows, body_id.shape[0])),
+            body_spans,
+            Lattice(u[s], v[s], limits[s, 0], limits[s, 1], columns, limits[s, 2], limits[s, 3]),
+        )
+        mine = first_strip[s], first_strip[s + 1]
+        _sum_strips(work, samples, strips, mine, bins, spread, elevation_pattern, sums, spans)
 
 
 @uncounted
-def _sum_strips(work, samples, strips, bins, spread, elevation_pattern, sums, spans):
-    """Do the work of `sum_footprints`; samples : with the lattice."""
+def _sum_strips(work, samples, strips, mine, bins, spread, elevation_pattern, sums, spans):
+    """Do the work of `sum_footprints` for one sector.
+
+    samples : with its lattice; mine : first of its strips, and past the last
+    """
     (plane_echo, face_id, body_id, body_spans, lattice), untried = samples, 0
-    for p in range(strips.middle.shape[0]):
+    for p in range(mine[0], mine[1]):
         is_tried = spread and untried == 0
         if is_beside(lattice, strips, p, plane_echo.shape[0]):
             untried = untried_after(untried, is_tried, False)
@@ -129,18 +149,19 @@ def _column_at(column_edges_rad, azimuth_rad):
 
 
 @uncounted
-def share_wide_columns(wide_edges, shares, sums, spans):
-    """Add what wide columns hold to their columns.
+def share_wide_columns(part, wide_edges, shares, sums, spans):
+    """Add what some wide columns hold to their columns.
 
     Parameters
     ----------
+    part : (2,) first and past the last of the wide columns, counted on from the others
     wide_edges : (W + 1,) column where each of the wide columns begins, and past the last column
     shares : (columns,) float32, the share of its wide column that a column takes
     sums, spans : as in `sum_footprints`; the rows of the wide columns follow those of the columns
     """
     n_columns = shares.shape[0]
-    for wide in range(wide_edges.shape[0] - 1):
-        row = uint64(n_columns + wide)
+    for at in range(part[0], part[1]):
+        row, wide = uint64(at), at - n_columns
         first, past = spans[row, 0], spans[row, 1]
         if first >= past:
             continue
@@ -168,8 +189,13 @@ def _clear_row(c, sums, spans):
 
 @uncounted
 def count_bins(spans):
-    """Return how many bins of all columns may differ from zero; spans : as in `sum_footprints`."""
-    total = 0
+    """Return how many bins of all columns may differ from zero, the first of them, and past the last.
+
+    spans : as in `sum_footprints`; without such a bin, past the last comes before the first
+    """
+    total, first, past = 0, np.iinfo(np.int64).max, 0
     for c in range(spans.shape[0]):
-        total += max(spans[c, 1] - spans[c, 0], 0)
-    return total
+        if spans[c, 0] < spans[c, 1]:
+            total += spans[c, 1] - spans[c, 0]
+            first, past = min(first, spans[c, 0]), max(past, spans[c, 1])
+    return total, first, past

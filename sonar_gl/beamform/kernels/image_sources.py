@@ -17,7 +17,7 @@ from sonar_gl.beamform.kernels.footprints import find_footprints
 from sonar_gl.beamform.kernels.range_bins import BinTable
 from sonar_gl.beamform.kernels.spreading import SHORT_RAMP, spread_footprints
 from sonar_gl.beamform.kernels.strips import LEAST_AHEAD, Lattice, StripTable, find_strip
-from sonar_gl.beamform.kernels.views import ViewIndex, find_surfaces
+from sonar_gl.beamform.kernels.views import ViewIndex, find_sector, find_surfaces
 from sonar_gl.beamform.kernels.work_table import (
     ALONG,
     ALONG_U,
@@ -151,6 +151,56 @@ def estimate_reflection(
                     lower, upper = reflected_intensities[p, m], reflected_intensities[p, m + 1]
                     reflected[p] += weight * (lower + rest * (upper - lower))
     return echo
+
+
+@compiled
+def expect_imaged(samples, lattice, sectors, plane, step, range_max_m, elevation_pattern, sums):
+    """Find how many samples the sonar's image behind a plane would have on what the sonar sees, if nothing hid it.
+
+    Parameters
+    ----------
+    samples : (plane_echo, body_id) of `SectorSamples` of the sonar, in `whole_rows`
+    lattice : of `SectorSamples`
+    sectors : of ViewIndex of the sonar. Its image has the same, mirrored
+    plane : (4,) of `Reflection`
+    step : one of so many columns and rows is read
+    range_max_m : of the sonar
+    elevation_pattern : as in `sum_footprints`
+    sums : (4, bodies + 1) by number, added to: samples that are read; how many of the image fill the same solid angle
+        there; the echo of those that are read; the part of it that goes one way by the plane, were that a mirror
+    """
+    (plane_echo, body_id), lattice = samples, Lattice(*lattice)
+    area = lattice.u[1] * lattice.v[2] - lattice.u[2] * lattice.v[1]
+    for j in range(step // 2, plane_echo.shape[0], step):
+        for i in range(step // 2, lattice.columns, step):
+            q = float(plane_echo[j, i, 0])
+            if q <= 0.0 or plane_echo[j, i, 3] <= 0.0:
+                continue
+            u = lattice.u[0] + lattice.u[1] * i + lattice.u[2] * j
+            v = lattice.v[0] + lattice.v[1] * i + lattice.v[2] * j
+            x, y, z = (lattice.cosine + lattice.sine * u) / q, (lattice.sine - lattice.cosine * u) / q, v / q
+            own_m = math.sqrt(x * x + y * y + z * z)
+            own_sine, before_m = z / own_m, plane[3] - (plane[0] * x + plane[1] * y + plane[2] * z)
+            # the image sees this place where the sonar would see the place's own mirror image
+            x, y, z = x + 2 * before_m * plane[0], y + 2 * before_m * plane[1], z + 2 * before_m * plane[2]
+            image_m = math.sqrt(x * x + y * y + z * z)
+            solid_angle = area / (own_m * q) ** 3
+            echo = one_way = plane_echo[j, i, 3] * solid_angle / own_m
+            if elevation_pattern.shape[0]:
+                power = _elevation_power(elevation_pattern, own_sine)
+                echo *= power
+                one_way *= math.sqrt(power * _elevation_power(elevation_pattern, z / image_m))
+            body = body_id[j, i]
+            sums[0, body] += 1.0
+            sums[2, body] += echo
+            k = find_sector(x, y, z, sectors)
+            is_on_plane = before_m <= SAME_PLACE * own_m
+            if k < 0 or is_on_plane or (own_m + image_m) / 2 >= range_max_m:
+                continue
+            t = sectors[k]
+            per_steradian = (t.iu * t.jv - t.iv * t.ju) * (image_m / (t.cos * x + t.sin * y)) ** 3
+            sums[1, body] += per_steradian * solid_angle * (own_m / image_m) ** 2
+            sums[3, body] += one_way
 
 
 @compiled

@@ -63,27 +63,41 @@ def find_surfaces(x, y, z, first, last, view, out):
     view = ViewIndex(*view)
     plane_echo, sectors = view
     for n in range(first, last):
-        out[n] = -1.0
-        for k in range(sectors.shape[0]):
-            t = sectors[k]
-            ahead, beside = t.cos * x[n] + t.sin * y[n], t.cos * y[n] - t.sin * x[n]
-            if ahead <= 0.0 or abs(beside) > t.tan_half_width * ahead:
-                continue
-            u, v = -beside / ahead, z[n] / ahead
-            u2, v2 = 1.0 + u * u, v * abs(v)
-            if v2 > t.tan_high * abs(t.tan_high) * u2 or v2 < t.tan_low * abs(t.tan_low) * u2:
-                continue
-            out[n] = 0.0
-            du, dv = u - t.u0, v - t.v0
-            i = math.floor(t.iu * du + t.iv * dv + 0.5)
-            j = math.floor(t.ju * du + t.jv * dv + 0.5)
-            if not (0 <= i < t.columns and 0 <= j < t.rows):
-                break  # no body is near
-            row, column = int(j), int(t.left + i)
-            q = float(plane_echo[row, column, 0])
-            if q > 0.0:
-                # from the sample's own ray to this direction, in the plane that it met
-                off_u, off_v = du - (t.ui * i + t.uj * j), dv - (t.vi * i + t.vj * j)
-                q += plane_echo[row, column, 1] * off_u + plane_echo[row, column, 2] * off_v
-                out[n] = max(q, 0.0) * ahead
-            break
+        k = find_sector(x[n], y[n], z[n], sectors)
+        if k < 0:
+            out[n] = -1.0
+            continue
+        out[n] = 0.0
+        t = sectors[k]
+        ahead, beside = t.cos * x[n] + t.sin * y[n], t.cos * y[n] - t.sin * x[n]
+        du, dv = -beside / ahead - t.u0, z[n] / ahead - t.v0
+        i = math.floor(t.iu * du + t.iv * dv + 0.5)
+        j = math.floor(t.ju * du + t.jv * dv + 0.5)
+        if not (0 <= i < t.columns and 0 <= j < t.rows):
+            continue  # no body is near
+        row, column = int(j), int(t.left + i)
+        q = float(plane_echo[row, column, 0])
+        if q > 0.0:
+            # from the sample's own ray to this direction, in the plane that it met
+            off_u, off_v = du - (t.ui * i + t.uj * j), dv - (t.vi * i + t.vj * j)
+            q += plane_echo[row, column, 1] * off_u + plane_echo[row, column, 2] * off_v
+            out[n] = max(q, 0.0) * ahead
+
+
+@uncounted
+def find_sector(x, y, z, sectors):
+    """Return the number of the sector that holds a direction, −1 if none does.
+
+    x, y, z : of the direction, in the frame of the sonar
+    sectors : of `ViewIndex`
+    """
+    for k in range(sectors.shape[0]):
+        t = sectors[k]
+        ahead, beside = t.cos * x + t.sin * y, t.cos * y - t.sin * x
+        if ahead <= 0.0 or abs(beside) > t.tan_half_width * ahead:
+            continue
+        u, v = -beside / ahead, z / ahead
+        u2, v2 = 1.0 + u * u, v * abs(v)
+        if v2 <= t.tan_high * abs(t.tan_high) * u2 and v2 >= t.tan_low * abs(t.tan_low) * u2:
+            return k
+    return -1

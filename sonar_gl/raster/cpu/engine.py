@@ -5,37 +5,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numba
 import numpy as np
 
+from sonar_gl.core.grown_array import Room
 from sonar_gl.core.reused_array import ReusedArray
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.cpu.visibility_buffer import (
+    NOTHING,
     PatchFaces,
     PlacedBodies,
     Triangles,
     Vertices,
-    VisibilityBuffer,
-    rasterize,
-    shade,
+    draw_windows,
 )
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import (
     MAX_SAMPLES,
-    NO_BODIES,
     NO_PLANE,
     NO_SAMPLES,
     BodiesInView,
-    PatchesInView,
     RenderWorkspace,
+    SectorLayout,
     SectorView,
-    samples_of,
+    Window,
+    stacked,
 )
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
-from sonar_gl.sonar.samples import NO_FACES, ViewSamples
+from sonar_gl.sonar.samples import NO_BODIES, NO_FACES, ViewSamples
 
 # About what a face and a sample cost, ns. A ping that costs less is drawn in one thread: handing half of it to the
 # other one takes 10 to 20 us.
@@ -51,23 +51,25 @@ class LoadedMeshes:
     meshes : SceneMeshes, the bodies and their poses
     vertices : Vertices of all patches
     patches : tuple of PatchFaces; empty without bodies
+    room : Room for more vertices
     """
 
     meshes: SceneMeshes
     vertices: Vertices
     patches: tuple[np.ndarray, ...] = ()
+    room: Room = field(default_factory=Room)
 
     def with_more(self, bodies) -> LoadedMeshes:
         """Return these and more bodies. This object stays as it is."""
         meshes = copy(self.meshes)
         made = meshes.add(bodies)
         if not made:
-            return LoadedMeshes(meshes, self.vertices, self.patches)
-        points = np.concatenate([self.vertices.points, *(one.points for one in made)])
+            return LoadedMeshes(meshes, self.vertices, self.patches, self.room)
+        points = self.room.append("points", self.vertices.points, [one.points for one in made])
         normals = self._appended("normals", made, np.zeros(3, np.float32))
         reflectivity = self._appended("reflectivity", made, np.float32(1.0))
         patches = tuple(meshes.levels[name] for name in PatchFaces._fields)
-        return LoadedMeshes(meshes, Vertices(points, normals, reflectivity), patches)
+        return LoadedMeshes(meshes, Vertices(points, normals, reflectivity), patches, self.room)
 
     def _appended(self, name: str, made, default):
         """Return an attribute of all vertices, as soon as any mesh has it."""
@@ -78,7 +80,7 @@ class LoadedMeshes:
             old = np.broadcast_to(default, (n, *default.shape))
         parts = [getattr(one, name) for one in made]
         fill = [np.broadcast_to(default, (len(one.points), *default.shape)) for one in made]
-        return np.concatenate([old, *(f if p is None else p for p, f in zip(parts, fill, strict=True))])
+        return self.room.append(name, old, [f if p is None else p for p, f in zip(parts, fill, strict=True)])
 
 
 class _Image:
@@ -104,24 +106,24 @@ class _HalfWorkspace:
     def __init__(self):
         self._buffer = ReusedArray(np.float32), ReusedArray(np.int32)
         self._triangles = ReusedArray(np.float32, 4), ReusedArray(np.int32, 3), ReusedArray(float, 9)
-        self._chosen: list[np.ndarray] = []
+        self._chosen = np.empty((0, 0, 2), np.int32)
 
-    def buffer(self, rows: int, columns: int) -> VisibilityBuffer:
-        """Return a visibility buffer."""
-        return VisibilityBuffer(*(one.take(rows * columns).reshape(rows, columns) for one in self._buffer))
+    def buffer(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return room for a visibility buffer of so many samples: depth and triangle, flat."""
+        depth, triangle = self._buffer
+        return depth.take(count), triangle.take(count)
 
     def triangles(self, count: int, has_normals: bool) -> Triangles:
         """Return room for so many triangles."""
         planes, bodies, normals = self._triangles
         return Triangles(planes.take(count), bodies.take(count), normals.take(count * has_normals))
 
-    def chosen(self, sector: int, most_patches: int) -> np.ndarray:
-        """Return room for the chosen patches of a sector, (n, 2) int32."""
-        while len(self._chosen) <= sector:
-            self._chosen.append(np.empty((0, 2), np.int32))
-        if len(self._chosen[sector]) < most_patches:
-            self._chosen[sector] = np.empty((most_patches, 2), np.int32)
-        return self._chosen[sector]
+    def chosen(self, n_sectors: int, most_patches: int) -> np.ndarray:
+        """Return room for the chosen patches of so many sectors, (n_sectors, n, 2) int32."""
+        n, most = self._chosen.shape[:2]
+        if n < n_sectors or most < most_patches:
+            self._chosen = np.empty((max(n, n_sectors), max(most, most_patches), 2), np.int32)
+        return self._chosen[:n_sectors]
 
     def drop_large(self) -> None:
         for one in (*self._buffer, *self._triangles):
@@ -174,6 +176,7 @@ class CpuRenderer:
         range_max_m = fan.sonar.range_max_m
         self._limits = np.array([NEAR_M, FAR_FACTOR * range_max_m])
         self._sectors = [SectorView(sector, FAR_FACTOR * range_max_m, range_max_m) for sector in fan.sectors]
+        self._layout, self._stacked = SectorLayout(self._sectors), stacked(self._sectors)
 
     def render(
         self,
@@ -214,30 +217,42 @@ class CpuRenderer:
         half: int | None,
     ) -> list[ViewSamples]:
         """Draw a view, and into a second image its specular lobes alone, in the memory of one half if that is given."""
-        meshes, workspace, patches = self._engine.meshes, self._workspace, []
-        for number, view in enumerate(self._sectors):
-            chosen = workspace.halves[half or 0].chosen(number, meshes.most_patches)
-            found = meshes.choose(view, bodies, chosen)
-            patches.append(found._replace(window=view.whole) if full else found)
-        windows = [one.window for one in patches]
+        meshes, workspace = self._engine.meshes, self._workspace
+        chosen = workspace.halves[half or 0].chosen(len(self._sectors), meshes.most_patches)
+        found = meshes.choose_in_sectors(self._stacked, bodies, chosen)
+        if full:
+            found[:, 2:] = [view.whole for view in self._sectors]
+        rows = found.tolist()
+        windows = [Window(*row[2:]) for row in rows]
+        n_faces, n_most = sum(row[1] for row in rows), max(row[1] for row in rows)
         width, height = sum(w.columns for w in windows), max(w.rows for w in windows)
         workspace.check_samples(width, height)
         samples, *of_lobes = [image.take(width, height, with_bodies) for image in images]
+        if not self._engine.contents.patches:
+            for plane_echo, body_id, face_id in (samples, *of_lobes):
+                plane_echo[:], body_id[:], face_id[:] = 0.0, 0, NOTHING
+            return [self._layout.samples(windows, *one, bodies.spans) for one in (samples, *of_lobes)]
         plane = NO_PLANE if bodies.plane is None else bodies.plane
         closed = meshes.boxes.closed
         placed = tuple(
             PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
         )
-        work_ns = FACE_NS * sum(one.n_faces for one in patches) + SAMPLE_NS * width * height * len(images)
+        work_ns = FACE_NS * n_faces + SAMPLE_NS * width * height * len(images)
         lobes_alone = (of_lobes[0][0], of_lobes[0][2]) if of_lobes else (NO_SAMPLES, NO_FACES)
-        drawn = placed, bodies.has_lobes, patches, samples, lobes_alone
+        most = n_most, max(w.rows * w.columns for w in windows)
+        drawn = placed, bodies.has_lobes, chosen, found, most, samples, lobes_alone
         if half is not None or self._thread is None or work_ns < FEW_NS:
-            self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)
+            is_met = self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)
         else:
-            self._thread.run_halves(lambda part: self._draw_part(workspace.halves[part], part, 2, *drawn))
+            is_met = np.logical_or(
+                *self._thread.run_halves(
+                    lambda part: self._draw_part(workspace.halves[part], part, 2, *drawn)
+                )
+            )
         for _, body_id, _ in of_lobes:
             body_id[:] = samples[1]
-        return [samples_of(self._sectors, windows, *one, bodies.spans) for one in (samples, *of_lobes)]
+        is_dark = tuple((~is_met).tolist())
+        return [self._layout.samples(windows, *one, bodies.spans, is_dark) for one in (samples, *of_lobes)]
 
     def _draw_part(
         self,
@@ -246,27 +261,41 @@ class CpuRenderer:
         n_parts: int,
         placed: tuple,
         has_lobes: bool,
-        patches: Sequence[PatchesInView],
+        chosen: np.ndarray,
+        found: np.ndarray,
+        most: tuple[int, int],
         samples,
         lobes_alone,
-    ) -> None:
-        """Draw some columns of each sector's window; placed : tuple of PlacedBodies; the last two as for `shade`."""
-        contents, left = self._engine.contents, 0
+    ) -> np.ndarray:
+        """Draw some columns of each sector's window; return (S,) bool, whether any sample may meet something.
+
+        Parameters
+        ----------
+        placed : tuple of PlacedBodies
+        chosen, found : of `choose_in_sectors`
+        most : faces, and samples, of a sector
+        samples, lobes_alone : as for `shade`
+        """
+        contents = self._engine.contents
         vertices, has_normals = tuple(contents.vertices), len(contents.vertices.normals) > 0
-        triangles = tuple(half.triangles(max(one.n_faces for one in patches), has_normals))
-        for view, (chosen, _, (i, j, columns, rows)) in zip(self._sectors, patches, strict=True):
-            first, last = part * columns // n_parts, (part + 1) * columns // n_parts
-            if first < last:
-                extent = i + first, i + last - 1, j, j + rows - 1
-                buffer = tuple(half.buffer(rows, last - first))
-                shared = contents.patches, vertices, placed, view.geometry, extent, self._limits, buffer
-                if contents.patches:
-                    rasterize(chosen, *shared, triangles)
-                else:
-                    buffer[0][:] = 0.0
-                shared = view.geometry, extent, (placed[1], has_lobes), left + first
-                shade(buffer, triangles, *shared, samples, lobes_alone)
-            left += columns
+        triangles = tuple(half.triangles(most[0], has_normals))
+        is_met = np.empty(len(found), bool)
+        draw_windows(
+            chosen,
+            found,
+            contents.patches,
+            vertices,
+            placed,
+            self._stacked.geometry,
+            (part, n_parts),
+            self._limits,
+            (*half.buffer(most[1]), triangles),
+            (placed[1], has_lobes),
+            samples,
+            lobes_alone,
+            is_met,
+        )
+        return is_met
 
 
 def _with_lobes(views: Sequence[tuple]) -> list[list[int]]:

@@ -394,6 +394,10 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
         VisibilityBuffer and Triangles
     window : first and last column, first and last row of the buffer, in the sector
     limits : (2,) near and far plane, metres
+
+    Returns
+    -------
+    how many triangles were drawn
     """
     first_vertex, n_vertices, first_face, n_faces, faces, boxes = patches
     points, normals, reflectivity = vertices
@@ -512,6 +516,7 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
                 bodies[n, 1] = n
                 _fit_normals(normals, start, f, faces, points, m, p, normal_forms[n])
             n += 1
+    return n
 
 
 @inlined
@@ -673,3 +678,51 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
                 is_hit = depth[j, i] > zero
                 number = bodies[uint64(triangle[j, i]), 0] + 1 if is_hit else 0
                 body_id[j, uint64(left) + i] = number
+
+
+@compiled
+def draw_windows(
+    chosen,
+    found,
+    patches,
+    vertices,
+    placed,
+    views,
+    part,
+    limits,
+    memory,
+    bodies_seen,
+    image,
+    lobes_alone,
+    is_met,
+):
+    """Draw some columns of the window of each of S sectors into an image.
+
+    One call draws all sectors: to hand arrays over takes as long as to draw a sector of side lobes.
+
+    Parameters
+    ----------
+    chosen, found : of `choose_in_sectors`; windows lie in the image side by side
+    patches, vertices, placed, limits : as for `rasterize`
+    views : of each sector, tuple of SectorGeometry, whose parts are stacked
+    part : (2,) which of how many parts of the columns
+    memory : depth and triangle, flat, of the largest VisibilityBuffer, and tuple of Triangles of the most faces
+    bodies_seen, image, lobes_alone : as for `shade`
+    is_met : (S,) bool, overwritten: whether any sample of the sector may meet something
+    """
+    (depth, triangle, triangles), left = memory, 0
+    for s in range(found.shape[0]):
+        i, j, columns, rows = found[s, 2], found[s, 3], found[s, 4], found[s, 5]
+        first, last = part[0] * columns // part[1], (part[0] + 1) * columns // part[1]
+        is_met[s] = False
+        if first < last:
+            view = (views[0][s], views[1][s], views[2][s], views[3][s], views[4][s], views[5][s], views[6][s])
+            extent = i + first, i + last - 1, j, j + rows - 1
+            count, shape = rows * (last - first), (rows, last - first)
+            buffer = depth[:count].reshape(shape), triangle[:count].reshape(shape)
+            n = rasterize(
+                chosen[s, : found[s, 0]], patches, vertices, placed, view, extent, limits, buffer, triangles
+            )
+            is_met[s] = n > 0
+            shade(buffer, triangles, view, extent, bodies_seen, left + first, image, lobes_alone)
+        left += columns

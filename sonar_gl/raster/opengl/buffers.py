@@ -113,7 +113,8 @@ class UploadedMeshes:
         """
         meshes, n_points, bodies = copy(self.meshes), self.n_points, list(bodies)
         found = {number: sheet_of(body) for number, body in enumerate(bodies, len(meshes.bodies))}
-        sheets = self.sheets | {number: sheet for number, sheet in found.items() if sheet is not None}
+        found = {number: sheet for number, sheet in found.items() if sheet is not None}
+        sheets = self.sheets | found if found else self.sheets
         points, normals, reflectivity, indices = map(
             copy, (self.points, self.normals, self.reflectivity, self.indices)
         )

@@ -10,6 +10,7 @@ import moderngl
 import numpy as np
 
 from sonar_gl.core.errors import Error, MachineError, SampleLimitError
+from sonar_gl.core.reused_array import USES_BEFORE_SMALLER
 from sonar_gl.gl import egl
 from sonar_gl.gl.context import is_software
 from sonar_gl.gl.enums import CLIP_DISTANCE0
@@ -18,24 +19,24 @@ from sonar_gl.raster.opengl.buffers import SceneBuffers
 from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
 from sonar_gl.raster.opengl.sheets import FURTHEST, MARGIN, draw_near
 from sonar_gl.raster.views import (
-    NO_BODIES,
     NO_PLANE,
     NO_SAMPLES,
     BodiesInView,
     RenderWorkspace,
+    SectorLayout,
     SectorView,
     Window,
-    samples_of,
 )
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
-from sonar_gl.sonar.samples import ViewSamples
+from sonar_gl.sonar.samples import NO_BODIES, ViewSamples
 from sonar_gl.sonar.sector import Sector
 
 LAYOUTS = (4, "f4"), (1, "u2")  # components and type of each attachment
 DEPTH_BYTES = 4
 NOT_READ = np.full(1, np.nan, np.float32)  # stays in place of 1/x where a lost context reads nothing
-# A render target is replaced by a smaller one where it has so many times the pixels in use, or else a coarse ping
-# would keep the memory of a fine one; not below MIN_PIXELS, 3 MB.
+# A render target is replaced by a smaller one where so many uses in a row as of a ReusedArray have needed less than one
+# of so many of its pixels, or else coarse pings would keep the memory of a fine one; not below MIN_PIXELS, 3 MB. A
+# smaller one at once would be replaced by a larger one where windows of two sizes take turns.
 MAX_PIXELS_PER_USED, MIN_PIXELS = 2, 1 << 16
 MAX_KEPT_PIXELS = 1 << 18  # 10 MB
 # How many columns and rows a viewport has beyond each side of its sector, over those of the sector; the scissor
@@ -81,6 +82,8 @@ class RenderTarget:
 
     def _drop(self) -> None:
         self._size, self._arrays, self._framebuffers, self._copies = (0, 0), {}, {}, []
+        # the largest sides, and the number of uses, since most of the pixels were in use
+        self._most, self._n_uses = (0, 0), 0
 
     def drop_large(self) -> None:
         """Drop a framebuffer of more than MAX_KEPT_PIXELS; samples that were read from it stay valid."""
@@ -88,21 +91,26 @@ class RenderTarget:
             self._drop()
 
     def allocate(self, context: moderngl.Context, limit: int) -> None:
-        """Have room for the pixels in use, and not for far more.
+        """Have room for the pixels in use, and not for far more than many uses in a row need.
 
         Raises
         ------
         Error
             if the graphics card is known to lack the memory, or the driver makes no such framebuffer.
         """
-        (columns, rows), pixels = self._size, self.width * self.height
-        fits = self.width <= columns and self.height <= rows
-        if fits and columns * rows <= max(MAX_PIXELS_PER_USED * pixels, MIN_PIXELS):
+        in_use = self.width, self.height
+        most_kept = max(MAX_PIXELS_PER_USED * self.width * self.height, MIN_PIXELS)
+        if math.prod(self._size) <= most_kept:
+            self._most, self._n_uses = (0, 0), 0
+        else:
+            self._most, self._n_uses = tuple(map(max, self._most, in_use)), self._n_uses + 1
+        fits = self.width <= self._size[0] and self.height <= self._size[1]
+        if fits and self._n_uses <= USES_BEFORE_SMALLER:
             return
         # a little more, so that a window that grows does not need a new target every time
-        size = tuple(min(64 * -(-n // 64), limit) for n in (self.width, self.height))
+        size = tuple(min(64 * -(-n // 64), limit) for n in (self._most if fits else in_use))
         both = tuple(map(max, size, self._size))
-        if both[0] * both[1] <= max(MAX_PIXELS_PER_USED * pixels, MIN_PIXELS):
+        if math.prod(both) <= most_kept:
             size = both
         self._drop()
         context.gc()  # releases the old renderbuffers before as much memory is taken again
@@ -240,6 +248,7 @@ class OpenGLRenderer:
         self._limit = side_limit(context)
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
+        self._layout = SectorLayout(self._sectors)
         self._uniforms, self._workspace = {}, workspace
         # the far plane lies across the middle of a sector, and so is further away in its corners
         furthest = max((view.furthest for view in self._sectors), default=1.0)
@@ -331,7 +340,7 @@ class OpenGLRenderer:
     def _read(self, target: RenderTarget, draws: list[SectorDraws], bodies: BodiesInView) -> ViewSamples:
         """Return what was drawn."""
         windows = [one.window for one in draws]
-        return samples_of(self._sectors, windows, *target.read(), body_spans=bodies.spans)
+        return self._layout.samples(windows, *target.read(), body_spans=bodies.spans)
 
     def _check_size(self, width: int, height: int) -> None:
         if max(width, height) > self._limit:
