@@ -423,7 +423,7 @@ class TestMoving:
         """Image sources are sampled by the ping alone, too: a strong reflector before would have them finer."""
         floor = sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -3.5))
         scene = sg.Scene([ball(4.0, 0.3), floor], surface_z_m=1.0)
-        away, strong, far = sg.pose(pitch=0.3, yaw=-3.0), sg.pose(-2.0, pitch=0.2), sg.pose(-6.0, yaw=0.05)
+        away, strong, far = sg.pose(pitch=0.3, yaw=-3.0), sg.pose(-6.0, yaw=0.05), sg.pose(-6.0, yaw=0.4)
         acoustics, pings = replace(IDEAL, multipath="incoherent"), []
         for before in (away, strong):
             with sg.Simulator(scene, SONAR, acoustics, tolerance=0.1) as simulator:
