@@ -6,11 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.beam_pattern import FarPattern
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.kernels.beams import TILE_BEAMS, add_far_lobes, weigh_columns
 from sonar_gl.beamform.kernels.column_sums import (
@@ -32,7 +34,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, sector_table, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
-from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, Strips
 from sonar_gl.sonar.sonar import Sonar
 
 # Handing half of the work to the second thread takes as long as so many rows of strips, or products of a
@@ -142,12 +144,50 @@ def make_beamformer(
     shear, widths : of `make_fan`
     side_lobes : with those of the elevation pattern
     """
-    reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
-    true_range, elevation = acoustics.true_range_sonar(sonar), acoustics.two_way_elevation_pattern(sonar)
-    is_box, transmit = pattern is None, acoustics.transmit_pattern(sonar)
+    workspace = workspace or Workspace()
+    design = workspace.once(("design", side_lobes), lambda: _design_of(sonar, acoustics, side_lobes))
+    extended = extend_rows(sampling, sonar, design.sonar)
+    fan = make_fan(design.sonar, extended, design.beams, shear, widths)
+    edges = fan.column_edges_rad
+
+    def weigh() -> tuple[BeamWeights, FarLobes | None]:
+        blocks, reach = None, design.beams.support_rad
+        if design.far_pattern is not None:
+            blocks = make_lobe_blocks(design.far_pattern, sonar.azimuth_rad, (edges[0], edges[-1]))
+        n_nodes = gauss_nodes(float(np.diff(edges).max()), reach, design.null_rad)
+        patterns = design.transmit_pattern, design.elevation_pattern
+        weights = beam_weights(fan, design.pattern, reach, *patterns, blocks is not None, n_nodes)
+        return weights, None if blocks is None else far_lobes(blocks, weights, edges, patterns[0])
+
+    received = *workspace.weights(edges, weigh), design.elevation_pattern
+    return Beamformer(fan, *received, thread, design.beams.is_box, workspace)
+
+
+class _Design(NamedTuple):
+    """What a sonar with its acoustics asks of all fans and beamformers.
+
+    Attributes
+    ----------
+    sonar : of `Acoustics.true_range_sonar`
+    beams : BeamShape
+    pattern, transmit_pattern, elevation_pattern : of `beam_weights`
+    far_pattern, null_rad : of `Acoustics`
+    """
+
+    sonar: Sonar
+    beams: BeamShape
+    pattern: Callable | None
+    transmit_pattern: Callable | None
+    elevation_pattern: Callable | None
+    far_pattern: FarPattern | None
+    null_rad: float
+
+
+def _design_of(sonar: Sonar, acoustics: Acoustics, side_lobes: bool) -> _Design:
+    pattern, transmit = acoustics.receive_pattern(sonar), acoustics.transmit_pattern(sonar)
     beams = BeamShape(
-        reach,
-        is_box,
+        acoustics.receive_support_rad(sonar),
+        is_box=pattern is None,
         are_cones=acoustics.has_cones(sonar),
         transmit_width_rad=math.inf if transmit is None else math.radians(sonar.transmit_width_deg),
     )
@@ -156,20 +196,8 @@ def make_beamformer(
             dense_elevation_deg=acoustics.dense_elevation_deg(sonar),
             max_elevation_deg=acoustics.max_elevation_deg(sonar),
         )
-    extended = extend_rows(sampling, sonar, true_range)
-    fan = make_fan(true_range, extended, beams, shear, widths)
-    workspace = workspace or Workspace()
-    far_pattern, edges = acoustics.far_pattern(sonar), fan.column_edges_rad
-
-    def weigh() -> tuple[BeamWeights, FarLobes | None]:
-        blocks = None
-        if far_pattern is not None:
-            blocks = make_lobe_blocks(far_pattern, sonar.azimuth_rad, (edges[0], edges[-1]))
-        n_nodes = gauss_nodes(float(np.diff(edges).max()), reach, acoustics.null_rad(sonar))
-        weights = beam_weights(fan, pattern, reach, transmit, elevation, blocks is not None, n_nodes)
-        return weights, None if blocks is None else far_lobes(blocks, weights, edges, transmit)
-
-    return Beamformer(fan, *workspace.weights(edges, weigh), elevation, thread, is_box, workspace)
+    patterns = pattern, transmit, acoustics.two_way_elevation_pattern(sonar), acoustics.far_pattern(sonar)
+    return _Design(acoustics.true_range_sonar(sonar), beams, *patterns, acoustics.null_rad(sonar))
 
 
 class Beamformer:
@@ -218,15 +246,11 @@ class Beamformer:
         self.fan, self.is_box, self._thread = fan, is_box, thread
         shape = len(weights.first), fan.sonar.n_bins
         self._pool = self._workspace.pools.pool(shape)
-        sines = np.linspace(-1, 1, elevations_of(fan))
-        is_even = elevation_pattern is None
-        self.elevation_table = NO_GAIN.astype(np.float64) if is_even else elevation_pattern(sines)
+        self.elevation_table, self._bins = self._workspace.once(
+            "elevations and bins", lambda: _tables_of(fan, elevation_pattern)
+        )
         self._weights, self._tiles = weights, tuple(weights.tiles)
         self._parts = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
-        # the fan may be higher, to hold the side lobes of the pattern
-        is_main_lobe = self.elevation_table > HALF_POWER_TWO_WAY
-        fov_rad = math.inf if is_even else float(np.ptp(np.arcsin(sines[is_main_lobe])))
-        self._bins = tuple(bin_table(fan.sonar.bin_edges_m, fov_rad))
         self._spread = fan.sampling.reducer == "footprint"
         self._far = far_lobes
         # far side lobes receive all columns
@@ -241,11 +265,10 @@ class Beamformer:
         self._has_gaps = is_box and not received.all()
         if n_wide:
             received = np.append(received, np.logical_or.reduceat(received, edges[:-1]))
-        self.strips = tuple(
-            [_strips_within(sector.strips, half, received) for sector in fan.sectors] for half in self._halves
-        )
+        of_fan = _joined_strips([_as_table(sector.strips) for sector in fan.sectors])
+        self._all_strips = tuple(_within(*of_fan, half, received) for half in self._halves)
+        self.strips = tuple(_of_sectors(*strips) for strips in self._all_strips)
         self._wide_shares = fan.wide_shares
-        self._all_strips = tuple(_joined_strips(strips) for strips in self.strips)
         self._last_rows = None, 0.0
         self._strips_per_column = np.array([len(one.strips.middle) / one.columns for one in fan.sectors])
 
@@ -254,15 +277,14 @@ class Beamformer:
         """The strips, in the columns of a fan that is the mirror image of this one, port for starboard."""
         n_columns, n_wide = self.fan.n_columns, self.fan.n_wide_columns
         mirrored = np.append(np.arange(n_columns)[::-1], n_columns + np.arange(n_wide)[::-1])
-        strips = zip(*self.strips, strict=True)
-        of_sectors = [
-            [np.concatenate(arrays) for arrays in zip(*(half[:-1] for half in halves), strict=True)]
-            for halves in strips
-        ]
-        return tuple(
-            [_within((mirrored[column], *rest), self.fan.are_cones, half) for column, *rest in of_sectors]
-            for half in self._halves
-        )
+        of_sectors = []
+        for halves in zip(*self.strips, strict=True):
+            column, *rest = (
+                np.concatenate(arrays) for arrays in zip(*(half[:-1] for half in halves), strict=True)
+            )
+            of_sectors.append((mirrored[column], *rest, self.fan.are_cones))
+        of_fan = _joined_strips(of_sectors)
+        return tuple(_of_sectors(*_within(*of_fan, half)) for half in self._halves)
 
     @cached_property
     def received_u(self) -> tuple[np.ndarray, ...]:
@@ -300,7 +322,7 @@ class Beamformer:
         """Bytes of its tables, about."""
         # those of the columns are kept to make the labeller, which has tiles of its own
         weights = 3 * self._tiles[1].nbytes + (self._far.n_bytes if self._far else 0)
-        return weights + 2 * sum(a.nbytes for half in self.strips for strips in half for a in strips[:-1])
+        return weights + sum(a.nbytes for _, strips in self._all_strips for a in strips[:-1])
 
     def _column_sums(self, n_wide_columns: int = 0) -> ColumnSums:
         """Return the room for sums, one for all: it holds what was summed last."""
@@ -574,18 +596,41 @@ def _parts_of_wide_columns(wide_edges, n_columns: int) -> tuple[tuple[int, int],
     return tuple((n_columns + begin, n_columns + end) for begin, end in parts)
 
 
-def _strips_within(strips, half: Sequence[tuple[int, int]], received) -> tuple:
-    """Return a plain StripTable of the strips in half of the columns, as far as a beam receives them."""
-    mine = received[strips.column]
-    arrays = strips.column, strips.middle, strips.width, strips.v_low, strips.v_high
-    return _within([one[mine] for one in arrays], strips.are_cones, half)
+def _tables_of(fan: Fan, elevation_pattern: Callable | None) -> tuple[np.ndarray, tuple]:
+    """Return `Beamformer.elevation_table`, and a plain BinTable."""
+    if elevation_pattern is None:
+        return NO_GAIN.astype(np.float64), tuple(bin_table(fan.sonar.bin_edges_m))
+    sines = np.linspace(-1, 1, elevations_of(fan))
+    table = elevation_pattern(sines)
+    # the fan may be higher, to hold the side lobes of the pattern
+    fov_rad = float(np.ptp(np.arcsin(sines[table > HALF_POWER_TWO_WAY])))
+    return table, tuple(bin_table(fan.sonar.bin_edges_m, fov_rad))
 
 
-def _within(arrays, are_cones: bool, half: Sequence[tuple[int, int]]) -> tuple:
-    """Return a plain StripTable of the strips in some columns, each from the first to before the last."""
-    column = arrays[0]
-    mine = np.logical_or.reduce([(first <= column) & (column < last) for first, last in half])
-    return *(one[mine] for one in arrays), are_cones
+def _as_table(strips: Strips) -> tuple:
+    """Return the strips of a sector as a plain StripTable."""
+    return strips.column, strips.middle, strips.width, strips.v_low, strips.v_high, strips.are_cones
+
+
+def _within(
+    first: np.ndarray, table: tuple, half: Sequence[tuple[int, int]], received=None
+) -> tuple[np.ndarray, tuple]:
+    """Return the strips of `_joined_strips` that lie in some columns, each from the first to before the last.
+
+    received : bool of each column, whether a beam receives it; None for all
+    """
+    column, *_, are_cones = table
+    mine = np.logical_or.reduce([(low <= column) & (column < high) for low, high in half])
+    if received is not None:
+        mine &= received[column]
+    before = np.append(0, np.cumsum(mine))
+    return before[first], (*(one[mine] for one in table[:-1]), are_cones)
+
+
+def _of_sectors(first: np.ndarray, table: tuple) -> list[tuple]:
+    """Return a plain StripTable of each sector from `_joined_strips`."""
+    *arrays, are_cones = table
+    return [(*(one[begin:end] for one in arrays), are_cones) for begin, end in pairwise(first.tolist())]
 
 
 def _joined_strips(strips: Sequence[tuple]) -> tuple[np.ndarray, tuple]:

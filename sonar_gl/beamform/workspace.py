@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from sonar_gl.core.array_pool import ArrayPools
 # Initial room of labels: bodies in a column, runs of bins, numbers. Where it is too small, samples are summed twice;
 # what is not used takes no memory.
 SLOTS, RUNS, POOL = 16, 1 << 14, 1 << 22
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +87,14 @@ class Workspace:
     def __init__(self, pools: ArrayPools | None = None):
         self.pools = ArrayPools() if pools is None else pools
         self._weights = self._sums = self._label_sums = None, None
-        self._moments = None, None
+        self._moments, self._made_once = (None, None), {}
         self.works = work_table.make_work(), work_table.make_work()
+
+    def once(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what depends on the sonar and its acoustics alone: made when it is first asked for."""
+        if key not in self._made_once:
+            self._made_once[key] = make()
+        return self._made_once[key]
 
     def weights(self, column_edges_rad: np.ndarray, make: Callable[[], tuple]) -> tuple:
         """Return the weights of beams over some columns: BeamWeights, and FarLobes or None.

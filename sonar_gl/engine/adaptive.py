@@ -131,9 +131,8 @@ class AdaptiveSampling:
         check = self.is_check_due(self.history)
         if check and self.plan is None:
             return self._search(setup, self.choice.level)
-        is_first_of_level, resolution = self._resolution[0] != self.choice.level, self.resolution
-        if self.choice.is_due and not (check or is_first_of_level):
-            # before the check, which would have to make it, and after the ping whose arrays had to grow
+        resolution = self.resolution
+        if self.choice.is_due and not check:  # before the check, which would have to make it
             self._model.coarser_stage(resolution.stage)
         return replace(resolution, check=check)
 
@@ -195,8 +194,10 @@ class AdaptiveSampling:
         if level < choice.level:
             finest = self.search.finest
             self._stages.drop_large()
-        # made by this ping: the next one, if it is checked, may have to make the coarser stage
-        self._model.stage_at(level)
+        following = self.history._replace(costs=self._costs_with(level))
+        if self._cost(level, check=True) <= self._most_cost(following):
+            # made by this ping, since the next one is checked, and may have to make the coarser stage
+            self._model.stage_at(level)
         return replace(choice, level=level, finest=finest, is_due=True)
 
     def _cost(self, level: int, check: bool = False) -> float:
@@ -249,8 +250,11 @@ class AdaptiveSampling:
         before = self.history
         if self.choice.is_planned:
             return before
-        costs = *before.costs[1 - RECENT :], self._cost(self.choice.level)
-        return PingHistory(before.n_pings + 1, setup, costs)
+        return PingHistory(before.n_pings + 1, setup, self._costs_with(self.choice.level))
+
+    def _costs_with(self, level: int) -> tuple[float, ...]:
+        """Return the costs of the last pings and of one to come, with the samples of a level."""
+        return *self.history.costs[1 - RECENT :], self._cost(level)
 
     def is_check_due(self, history: PingHistory) -> bool:
         """Return whether the error of the last ping of a history is to be estimated."""

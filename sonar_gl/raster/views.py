@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import NamedTuple
@@ -44,18 +45,20 @@ class SectorView:
 
     def __init__(self, sector: Sector, far_m: float, range_max_m: float):
         u, v = sector.u, sector.v
-        corner = np.array([u[0], v[0]])
-        ends = np.array([(i, j) for i in (-0.5, sector.columns - 0.5) for j in (-0.5, sector.rows - 0.5)])
-        ends = ends @ sector.steps.T + corner
+        corners = [(i, j) for i in (-0.5, sector.columns - 0.5) for j in (-0.5, sector.rows - 0.5)]
+        # in numbers, which take less time than small arrays: a sonar that moves has new samples now and then
+        at_u, at_v = (
+            [i * along + j * up + w for i, j in corners] for w, along, up in (u.tolist(), v.tolist())
+        )
         self.sector, self.sample_rad = sector, min(u[1], v[2])
-        self.furthest = float(np.sqrt(1.0 + (ends * ends).sum(axis=1)).max())
+        self.furthest = max(math.hypot(1.0, *end) for end in zip(at_u, at_v, strict=True))
         self.whole = Window(0, 0, sector.columns, sector.rows)
         self.geometry = tuple(
             SectorGeometry(
                 rotation=sector.rotation(),
-                limits=np.concatenate([[ends[:, k].min(), ends[:, k].max()] for k in range(2)]),
+                limits=np.array([min(at_u), max(at_u), min(at_v), max(at_v)]),
                 inverse=np.linalg.inv(sector.steps),
-                corner=corner,
+                corner=np.array([u[0], v[0]]),
                 size=np.array([sector.columns, sector.rows], float),
                 u=u,
                 v=v,

@@ -195,11 +195,9 @@ def make_fan(
         wide_edges = _wide_edges(edges, seams, width)
         if len(wide_edges) > 1:
             of_side_lobes = edges[wide_edges], len(edges) - 1
-    columns = [(edges, 0)] * len(dense) + [of_side_lobes] * (len(sectors) - len(dense))
     lay = make_cone_strips if beams.are_cones else make_strips
-    sectors = tuple(
-        replace(sector, strips=lay(sector, *mine)) for sector, mine in zip(sectors, columns, strict=True)
-    )
+    strips = [*lay(dense, edges), *lay(sectors[len(dense) :], *of_side_lobes)]
+    sectors = tuple(replace(sector, strips=mine) for sector, mine in zip(sectors, strips, strict=True))
     edges = frozen_array(edges, np.float64, (None,), "column edges")
     return Fan(sonar, sampling, sectors, edges, max_elevation_rad, wide_edges, beams.are_cones)
 

@@ -13,6 +13,7 @@ upright planes.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -212,42 +213,61 @@ def _greatest_lean(azimuth_rad: float, half_width_rad: float, tan_elevation: flo
     return (sine - cosine * u) * v / max(cosine * (1 + v * v) + sine * u, 1e-9)
 
 
-def make_strips(sector: Sector, column_edges_rad, first_column: int = 0) -> Strips:
-    """Return the upright strips of a sector: the fan's columns, divided evenly where they are wider than a sample.
+def make_strips(sectors: Sequence[Sector], column_edges_rad, first_column: int = 0) -> list[Strips]:
+    """Return the upright strips of some sectors: the fan's columns, divided evenly where they are wider than a sample.
 
     Parameters
     ----------
-    sector : Sector
+    sectors : Sectors
     column_edges_rad : (columns + 1,) azimuths between which the columns of the fan lie, rising
     first_column : number of the first of these columns
     """
+    laid, out = {}, []
+    for one in sectors:
+        key = one.azimuth_rad, one.half_width_rad, float(one.u[1])
+        if key not in laid:  # sectors above and below the horizon have the same
+            laid[key] = _uprights(one, column_edges_rad, first_column)
+        columns, u, widths = laid[key]
+        level = np.sqrt(1.0 + u * u)
+        out.append(Strips(columns, u, widths, one.tan_low * level, one.tan_high * level))
+    return out
+
+
+def _uprights(
+    sector: Sector, column_edges_rad, first_column: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return column, middle and width of `Strips`."""
     low, high = sector.azimuth_rad - sector.half_width_rad, sector.azimuth_rad + sector.half_width_rad
     inside = (column_edges_rad > low) & (column_edges_rad < high)
     azimuths = merge_close_azimuths(np.concatenate([[low], column_edges_rad[inside], [high]]))
     edges = -np.tan(azimuths - sector.azimuth_rad)
     # hardly wider than a sample: a sample that is nearest to the middle of no strip would be lost
     pieces = np.maximum(np.ceil((edges[:-1] - edges[1:]) / sector.u[1] - 0.1), 1).astype(int)
-    first = np.repeat(np.cumsum(pieces) - pieces, pieces)
-    steps = np.repeat((edges[1:] - edges[:-1]) / pieces, pieces)
-    within = (np.arange(len(steps)) - first) * steps
-    edges = np.append(np.repeat(edges[:-1], pieces) + within, edges[-1])
+    if len(pieces) < pieces.sum():
+        first = np.repeat(np.cumsum(pieces) - pieces, pieces)
+        steps = np.repeat((edges[1:] - edges[:-1]) / pieces, pieces)
+        within = (np.arange(len(steps)) - first) * steps
+        edges = np.append(np.repeat(edges[:-1], pieces) + within, edges[-1])
     u = (edges[1:] + edges[:-1]) / 2
     columns = np.searchsorted(column_edges_rad, sector.azimuth_rad - np.arctan(u)) - 1
     columns = first_column + np.clip(columns, 0, len(column_edges_rad) - 2)
-    level = np.sqrt(1.0 + u * u)
-    return Strips(columns, u, edges[:-1] - edges[1:], sector.tan_low * level, sector.tan_high * level)
+    return columns, u, edges[:-1] - edges[1:]
 
 
-def make_cone_strips(sector: Sector, column_edges_rad, first_column: int = 0) -> Strips:
-    """Return the strips of a sector that are cones about the axis of a line array, up to MAX_AZIMUTH_RAD.
+def make_cone_strips(sectors: Sequence[Sector], column_edges_rad, first_column: int = 0) -> list[Strips]:
+    """Return the strips of some sectors that are cones about the axis of a line array, up to MAX_AZIMUTH_RAD.
 
     Parameters
     ----------
-    sector : Sector
+    sectors : Sectors
     column_edges_rad : (columns + 1,) azimuths at which the array shows the edges of the fan's columns, rising, within
         ±MAX_CONE_RAD
     first_column : number of the first of these columns
     """
+    return [_cones(one, column_edges_rad, first_column) for one in sectors]
+
+
+def _cones(sector: Sector, column_edges_rad, first_column: int) -> Strips:
     edges = np.sin(column_edges_rad)
     middles, widths = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
     part = _parts_of_cones(sector, middles)

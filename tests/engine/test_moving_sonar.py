@@ -1,6 +1,7 @@
 """A sonar that moves: no ping costs much more than those before it, and each says what its error may be."""
 
 import math
+from itertools import pairwise
 from statistics import median
 
 import numpy as np
@@ -110,6 +111,26 @@ def test_pings_that_wait_for_a_check_have_made_what_it_needs(monkeypatch):
             waits = not checks and choice.is_due and choice.level == level
             n_waiting = n_waiting + 1 if waits else 0
     assert n_late_checks > 0
+
+
+def test_the_stage_of_samples_that_are_not_checked_at_once_is_made_by_the_ping_that_has_them(monkeypatch):
+    """The ping whose check asked for them made it, beside the stage of the check: it is the one that takes longest."""
+    made, make = [], StageCache.make
+    monkeypatch.setattr(StageCache, "make", lambda *arguments: made.append(0) or make(*arguments))
+    checks, judge = [], ErrorModel.judge
+    monkeypatch.setattr(ErrorModel, "judge", lambda *arguments: checks.append(0) or judge(*arguments))
+    counts = []
+    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+        simulator.ping(np.eye(4))  # searched
+        for pose in poses():
+            made.clear()
+            checks.clear()
+            simulator.ping(pose)
+            counts.append((len(made), len(checks)))
+    last = [
+        (n, after) for (n, is_checked), (after, is_next) in pairwise(counts) if is_checked and not is_next
+    ]
+    assert max(n for n, _ in last) == 1 and max(after for _, after in last) == 2
 
 
 def test_an_estimate_within_the_tolerance_was_made_with_the_samples_of_the_ping():

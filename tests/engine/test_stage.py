@@ -3,8 +3,10 @@
 import numpy as np
 
 import sonar_gl as sg
+from sonar_gl.acoustics.beam_pattern import ArrayPattern
 from sonar_gl.beamform import beamformer
 from sonar_gl.sonar.sampling import sampling_at
+from sonar_gl.sonar.sector import SHEAR
 
 SONAR = sg.Sonar("stage", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
 
@@ -21,3 +23,16 @@ def test_samplings_of_the_same_columns_share_the_weights_of_their_beams(monkeypa
     edges = [fan.column_edges_rad for fan in fans]
     assert np.array_equal(edges[0], edges[2]) and len(edges[3]) > len(edges[0])
     assert len(calls) == 1  # of level 20, whose columns are narrower; the last is kept as a whole
+
+
+def test_what_no_sampling_changes_is_found_once(monkeypatch):
+    """In a ping of a live loop that checks its error, to find it anew took a twentieth of the ping."""
+    calls, power = [], ArrayPattern.power
+    monkeypatch.setattr(ArrayPattern, "power", lambda *a: calls.append(np.size(a[1])) or power(*a))
+    with sg.Simulator(sg.Scene([]), SONAR, sampling=sampling_at(SONAR, 0)) as simulator:
+        stages = simulator.run.stages
+        with simulator.run.drawing():
+            calls.clear()
+            first, other = (stages.stage(sampling_at(SONAR, 2), shear) for shear in (SHEAR, -SHEAR))
+    assert not calls
+    assert first.beamformer.elevation_table is other.beamformer.elevation_table

@@ -37,7 +37,10 @@ class Rival:
         if n_columns:
             edges = fan.column_edges_rad
             edges = np.linspace(edges[0], edges[-1], n_columns + 1)
-            sectors = tuple(replace(sector, strips=make_strips(sector, edges)) for sector in fan.sectors)
+            strips = make_strips(fan.sectors, edges)
+            sectors = tuple(
+                replace(sector, strips=mine) for sector, mine in zip(fan.sectors, strips, strict=True)
+            )
             fan = replace(fan, sectors=sectors, column_edges_rad=edges)
         self.sonar, self.fan, self.thread = sonar, fan, SecondThread()
         self.weights, self.is_box = beam_weights(fan, pattern, reach), pattern is None
