@@ -18,7 +18,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
 from sonar_gl.imaging.fan_image import MAX_HEIGHT, colours
 from sonar_gl.noise.settings import Noise
-from sonar_gl.raster.engine import ENGINES
+from sonar_gl.raster.engine_names import ENGINES
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sampling import check_tolerance
 from sonar_gl.sonar.sonar import Sonar, load_sonar
