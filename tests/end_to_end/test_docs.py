@@ -443,7 +443,9 @@ def test_messages_of_the_readme_are_said(message):
 
 @pytest.mark.parametrize("ending", SUFFIXES)
 def test_every_ending_of_a_scene_is_told(ending):
-    assert f"`{ending}`" in text_of(ROOT / "docs" / "conventions.md"), "docs/conventions.md must name the ending"
+    assert f"`{ending}`" in text_of(ROOT / "docs" / "conventions.md"), (
+        "docs/conventions.md must name the ending"
+    )
     assert re.search(rf"{re.escape(ending)}\b", sg.load_scene.__doc__), (
         "the docstring of load_scene must name the ending"
     )
