@@ -22,35 +22,26 @@ from sonar_gl.core.signatures import shown_by_fields
 from sonar_gl.core.warn import collected_warnings, warn_caller
 from sonar_gl.sonar.sonar import Sonar
 
-BARE = {
-    "beam_pattern": "box",
-    "conical_beams": False,
-    "far_side_lobes": False,
-    "transmit_beam": False,
-    "elevation_pattern": "box",
-    "pulse": False,
-    "specular": False,
-    "bubbles": False,
-    "cross_talk": False,
-    "volume_reverberation": False,
-    "surface_reverberation": False,
-}
+SWITCHES = (  # fields that are on in the profile "physical", and off in the others
+    "conical_beams",
+    "far_side_lobes",
+    "transmit_beam",
+    "pulse",
+    "specular",
+    "bubbles",
+    "cross_talk",
+    "volume_reverberation",
+    "surface_reverberation",
+)
+BARE = {"beam_pattern": "box", "elevation_pattern": "box"} | dict.fromkeys(SWITCHES, False)
 PROFILES = {  # name: values of the fields that are None
     "ideal": BARE | {"range_law": "constant"},
     "demarco2015": BARE | {"range_law": "printed"},
     "physical": {
         "range_law": "sonar_equation",
         "beam_pattern": "line_array",
-        "conical_beams": True,
-        "far_side_lobes": True,
-        "transmit_beam": True,
         "elevation_pattern": "line_array",
-        "pulse": True,
-        "specular": True,
-        "bubbles": True,
-        "cross_talk": True,
-        "volume_reverberation": True,
-        "surface_reverberation": True,
+        **dict.fromkeys(SWITCHES, True),
     },
 }
 CHOICES = {  # field: allowed names
@@ -59,7 +50,6 @@ CHOICES = {  # field: allowed names
     "elevation_pattern": ("box", "line_array", "gaussian"),
     "multipath": ("none", "incoherent", "coherent"),
 }
-SWITCHES = tuple(name for name, value in BARE.items() if isinstance(value, bool))
 BOUNDS = (  # field, least and greatest value, hint for messages
     ("tvg_k", 0, 60, "usual are 20, 30 and 40"),
     ("tvg_absorption_db_m", 0, 1e5, "give dB per metre one way, a thousandth of dB per km"),
@@ -79,9 +69,10 @@ MOVED_TO_WATER = tuple(field.name for field in fields(Water))
 
 MAX_STEER_DEG = 80.0  # of a straight array: nearer to its own line a beam has no −3 dB edge on the far side
 GAUSSIAN_SUPPORT_LEVEL = 1e-4  # one-way power in azimuth at which a Gaussian beam is cut
-SKIRTS_LEVEL = 0.1  # two-way power in elevation below which the main lobe is sampled coarsely
-# Two-way power in elevation down to which samples are as fine as on the boresight.
-ELEVATION_SUPPORT_LEVEL = 1e-3
+SKIRTS_LEVEL = (
+    0.1  # two-way power in elevation below which samples are coarse, in the main lobe and the side lobes
+)
+ELEVATION_SUPPORT_LEVEL = 1e-3  # two-way power in elevation at which the main lobe is taken to end
 MAX_ELEVATION_DEG = 85.0  # above the boresight: a perspective view cannot cover much more
 # Two-way power in elevation below which nothing is received: the first bottom return comes from so near that a level
 # sonar shows it 20 dB above its side lobe, and images show 60 dB.
@@ -317,7 +308,7 @@ class Acoustics:
         if scale == 1.0 and 2 * top_deg == sonar.elevation_fov_deg:
             return sonar
         ranges = {key: getattr(sonar, key) / scale for key in ("range_min_m", "range_max_m")}
-        # numbers that no user has written: a warning would name them, and what is unlikely of the sonar has been said
+        # no warnings: they would name numbers that no user has written, and the given sonar has had its own
         with collected_warnings():
             return replace(sonar, elevation_fov_deg=2 * top_deg, **ranges)
 
@@ -614,7 +605,7 @@ class Acoustics:
         return max(half_width, min(math.degrees(math.asin(min(sine, 1.0))), MAX_ELEVATION_DEG))
 
     def dense_elevation_deg(self, sonar: Sonar) -> float:
-        """Return the elevation, degrees, beyond which the two-way pattern is so weak that coarse samples do.
+        """Return the elevation, degrees, beyond which the two-way pattern is so weak that coarse samples suffice.
 
         >>> from sonar_gl.sonar.sonar import load_sonar
         >>> round(Acoustics.physical().dense_elevation_deg(load_sonar("p900-45")), 2)
@@ -658,7 +649,9 @@ class Acoustics:
         2.0
         """
         cells = resolution_cell_m(*self.pulse_response(sonar)) / sonar.bin_size_m if self.pulse else 1.0
-        return cells if cells > 1 + 1e-9 else 1.0  # a cell as long as a bin is so but for rounding
+        return (
+            cells if cells > 1 + 1e-9 else 1.0
+        )  # rounding may make a cell that is as long as a bin a little longer
 
     def pulse_response(self, sonar: Sonar) -> PulseResponse:
         """Return bandwidth and taper of the pulse, and the speed of sound.

@@ -21,7 +21,7 @@ from sonar_gl.core.poses import check_pose, pose
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
 from sonar_gl.imaging.fan_image import colours
-from sonar_gl.imaging.styles import what_lacks_16_bits
+from sonar_gl.imaging.styles import FanStyle, what_lacks_16_bits
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB
 from sonar_gl.sonar.sonar import MAX_BINS
@@ -246,9 +246,14 @@ class PicturesTable(Table):
     axes: bool = False
     fps: Annotated[float, Field(ge=0.01, le=120)] = 10.0
 
+    @property
+    def style(self) -> FanStyle:
+        """The style of the pictures."""
+        return FanStyle(self.height, self.colormap, self.axes)
+
     @model_validator(mode="after")
     def _check_bits(self):
-        lacking = what_lacks_16_bits(self.colormap, self.axes, self.formats)
+        lacking = what_lacks_16_bits(self.style, self.formats)
         if self.counts.get("bits") == 16 and lacking is not None:
             raise ValueError(
                 "counts of 16 bits need gray PNG pictures without axes, since others have 8 bits "

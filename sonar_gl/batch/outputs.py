@@ -25,7 +25,6 @@ from sonar_gl.embed.camera import Camera
 from sonar_gl.imaging.boxes import body_map_and_bins, boxes_of
 from sonar_gl.imaging.fan_image import fan_image
 from sonar_gl.imaging.files import npz_bytes, png_bytes, save_animation
-from sonar_gl.imaging.styles import FanStyle
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.ping import Ping
 from sonar_gl.ros.bag import (
@@ -146,7 +145,7 @@ class PicturesOutput(CountsOutput):
 
     def __init__(self, *context):
         super().__init__(*context)
-        self._draw = FanStyle(self.table.height, self.table.colormap, self.table.axes)
+        self._draw = self.table.style
 
     def add(self, request, sonar, ping, quiet):
         ping = self.with_counts(sonar, ping)

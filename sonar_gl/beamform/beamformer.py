@@ -37,8 +37,8 @@ from sonar_gl.sonar.sampling import Sampling, extend_rows
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, Strips
 from sonar_gl.sonar.sonar import Sonar
 
-# Handing half of the work to the second thread takes as long as so many rows of strips, or products of a
-# column's bin with its weight: less is done in one thread. A row with labels takes twice as long.
+# Work below these bounds is done in one thread, since handing half of it to the second one would take longer. Rows of
+# strips are counted, rows with labels, which take twice as long, and products of a column's bin with its weight.
 FEW_ROWS, FEW_LABEL_ROWS, FEW_PRODUCTS = 10_000, 5_000, 5_000_000
 NO_GAIN = np.empty(0, np.float32)
 HALF_POWER_TWO_WAY = 0.25
@@ -86,9 +86,9 @@ class BodySums(NamedTuple):
     ----------
     runs : plain tuple of Runs
     body_bins : of `bins_of_bodies`
-    direct : (B, K) float32, all direct echo with the gain, which is overwritten later; of no length where it is that of
-        the runs alone, without far side lobes and bubbles
-    is_little : there is little work, which one thread does
+    direct : (B, K) float32, all direct echo with the gain, in an array that is overwritten later; empty if the runs
+        hold all of it, which is so without far side lobes and bubbles
+    is_little : whether there is so little work that one thread does it
     """
 
     runs: tuple
@@ -142,7 +142,7 @@ def make_beamformer(
     ----------
     thread, workspace : of `Beamformer`
     shear, widths : of `make_fan`
-    side_lobes : with those of the elevation pattern
+    side_lobes : whether the fan has sectors for the side lobes of the elevation pattern
     """
     workspace = workspace or Workspace()
     design = workspace.once(("design", side_lobes), lambda: _design_of(sonar, acoustics, side_lobes))
@@ -201,10 +201,10 @@ def _design_of(sonar: Sonar, acoustics: Acoustics, side_lobes: bool) -> _Design:
 
 
 class Beamformer:
-    """Turns samples of a fan into beams and bins.
+    """Sums samples of a fan into beams and bins.
 
-    Two halves of the columns are summed separately, in two threads if there is enough to do, so that the sums
-    do not depend on which thread is faster.
+    The columns are divided into two halves at a fixed border. Each half is summed by one thread, so that the sums do
+    not depend on which thread is faster; both by the same one if there is little work.
 
     Parameters
     ----------
@@ -253,10 +253,10 @@ class Beamformer:
         self._parts = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
         self._spread = fan.sampling.reducer == "footprint"
         self._far = far_lobes
-        # far side lobes receive all columns
+        # with far side lobes, beams receive all columns
         received = np.ones(fan.n_columns, bool) if far_lobes else weights.received
         n_columns, n_wide, edges = fan.n_columns, fan.n_wide_columns, fan.wide_edges
-        # columns, and wide columns
+        # first and past the last of each half: of its columns, and of its wide columns
         self._halves = tuple(
             (_half_of(n_columns, half), tuple(n_columns + end for end in _half_of(n_wide, half)))
             for half in (0, 1)
@@ -274,7 +274,7 @@ class Beamformer:
 
     @cached_property
     def mirrored_strips(self) -> tuple:
-        """The strips, in the columns of a fan that is the mirror image of this one, port for starboard."""
+        """The strips as `strips` has them, numbered by the columns of the mirrored fan: port and starboard swapped."""
         n_columns, n_wide = self.fan.n_columns, self.fan.n_wide_columns
         mirrored = np.append(np.arange(n_columns)[::-1], n_columns + np.arange(n_wide)[::-1])
         of_sectors = []
@@ -288,9 +288,9 @@ class Beamformer:
 
     @cached_property
     def received_u(self) -> tuple[np.ndarray, ...]:
-        """The u between which samples lie that a beam takes: (2n,) float64 a sector, rising; empty where all do.
+        """Of each sector, (2n,) float64, rising: begins and ends, in u, of n intervals whose samples some beam takes.
 
-        Boxes that are narrower than their spacing leave gaps.
+        Empty if beams take all samples. Boxes that are narrower than their spacing leave gaps.
         """
         if not self._has_gaps:
             return (np.empty(0),) * len(self.fan.sectors)
@@ -301,7 +301,10 @@ class Beamformer:
 
     @cached_property
     def even_response(self) -> np.ndarray:
-        """What each beam returns of a sphere of reflectivity 1 about the sonar: 1, but for a transmit beam; (B,)."""
+        """(B,) echo, without gain, that each beam receives from a sphere of reflectivity 1 about the sonar.
+
+        It is 1 unless there is a transmit beam.
+        """
         columns = self._column_sums()
         # spans first: what lies outside of them is never cleared, should an interrupt come between
         columns.spans[:] = 0, columns.sums.shape[1]
@@ -319,13 +322,13 @@ class Beamformer:
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of its tables, about."""
-        # those of the columns are kept to make the labeller, which has tiles of its own
+        """About how many bytes its tables take."""
+        # the weights of which the tiles are made are kept for the labeller, which has tiles of its own: three times
         weights = 3 * self._tiles[1].nbytes + (self._far.n_bytes if self._far else 0)
         return weights + sum(a.nbytes for _, strips in self._all_strips for a in strips[:-1])
 
     def _column_sums(self, n_wide_columns: int = 0) -> ColumnSums:
-        """Return the room for sums, one for all: it holds what was summed last."""
+        """Return the workspace's array of column sums, which holds what any beamformer that shares it summed last."""
         fan = self.fan
         n_wide_columns = max(n_wide_columns, fan.n_wide_columns)
         return self._workspace.column_sums(fan.n_columns, fan.sonar.n_bins, n_wide_columns)
@@ -341,7 +344,7 @@ class Beamformer:
             self._share_wide_columns(part, columns)
 
     def _share_wide_columns(self, part: tuple[int, int], columns: ColumnSums) -> None:
-        """Do it for some of them."""
+        """Add the sums of wide columns of a part, first and past the last, to those of their columns."""
         if part[0] < part[1]:
             shares = self._wide_shares, columns.all_sums, columns.all_spans
             share_wide_columns(part, self.fan.wide_edges, *shares)
@@ -434,9 +437,10 @@ class Beamformer:
 
         Parameters
         ----------
-        images : of the sonar's images, with `mirrored_strips`
-        own : of the sonar itself, one for each image; only those are summed whose image is seen in its reflector
-        of_images : whose strips are those of the images; its fan may have other wide columns
+        images : views of the sonar's images, with `mirrored_strips`
+        own : views of the sonar itself, one for each image; a view is summed only if the samples of its image return
+            an echo by the reflector
+        of_images : the beamformer whose strips the images have; its fan may have other wide columns
         """
         n_wide = of_images.fan.n_wide_columns
         columns, is_seen = self._column_sums(n_wide), np.zeros((2, len(images)), bool)
@@ -477,10 +481,10 @@ class Beamformer:
     def sum_bodies(self, view: ViewSamples, gain) -> tuple[BeamEcho, BodySums]:
         """Return what `sum_view` returns, to the bit, and the sums of each body for `find_labels`.
 
-        view : its samples hold the numbers of bodies
+        view : ViewSamples, whose samples must hold the numbers of bodies
         """
-        samples, columns = view.sectors, self._column_sums()
-        is_little = self._rows(samples) < FEW_LABEL_ROWS
+        columns = self._column_sums()
+        is_little = self._strip_rows_of(view.sectors) < FEW_LABEL_ROWS
         run, clear = partial(self._run, serial=is_little), partial(self.clear_columns, columns=columns)
         runs = self._labeller.sum_up(view, self.strips, run, columns, clear)
         self.share_wide_columns(columns)
@@ -492,11 +496,12 @@ class Beamformer:
     def find_labels(
         self, bodies: BodySums, gain, n_bodies: int, background: ShadowedBackground | None = None
     ) -> Labels:
-        """Return the labels of samples whose bodies were summed last, with shares of the direct echo.
+        """Return the labels of the view that `sum_bodies` summed last, with shares of the direct echo.
 
         Parameters
         ----------
-        gain : (K,) float32, as when they were summed
+        bodies : as `sum_bodies` returned them
+        gain : (K,) float32, as given to `sum_bodies`
         n_bodies : the highest number of a body
         background : on which bodies cast shadows; None for no shadows
         """
@@ -504,27 +509,24 @@ class Beamformer:
         if background is not None:
             mask, view = background
             columns = self._sum_images(self._images_of(view.sectors, view.body_spans))
-            # labels know no far side lobes
+            # without far side lobes, which labels leave out
             unshadowed, _ = self._weigh_support(columns, self._tiles, NO_GAIN)
         run = partial(self._run, serial=bodies.is_little)
         sums = bodies.body_bins, bodies.direct
         return self._labeller.find(bodies.runs, run, gain, n_bodies, *sums, mask, unshadowed)
 
     def _run(self, work, serial: bool = False) -> None:
-        """Do work(0) and work(1)."""
+        """Call work(0) and work(1), one for each half: in two threads, or one after the other if `serial`."""
         if serial or self._thread is None:
             work(0)
             work(1)
         else:
             self._thread.run_halves(work)
 
-    def _rows(self, samples) -> float:
-        """Return about how many rows of strips there are in all."""
-        n_rows = 0.0
-        for sector, one in zip(self.fan.sectors, samples, strict=True):
-            rows, columns, _ = one.plane_echo.shape
-            n_rows += len(sector.strips.middle) / sector.columns * columns * rows
-        return n_rows
+    def _strip_rows_of(self, samples: Sequence[SectorSamples]) -> float:
+        """Return about how many rows of strips the samples of all sectors have."""
+        n_samples = [one.plane_echo.shape[0] * one.plane_echo.shape[1] for one in samples]
+        return float(self._strips_per_column @ n_samples)
 
     def weigh(self, columns: ColumnSums, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
@@ -546,7 +548,7 @@ class Beamformer:
     def _weigh_all(self, columns: ColumnSums, far: FarLobes, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns in their support and of those in far side lobes.
 
-        In two steps: to hand half of one over takes as long as a third of its work.
+        There are no more than two steps, since handing over half of one takes as long as a third of its work.
         """
         out, totals = self._pool.empty(), [0.0, 0.0]
         n_bins, first, past = count_bins(columns.spans)

@@ -9,6 +9,7 @@ import click
 
 from sonar_gl.core.errors import Error
 from sonar_gl.imaging.colormaps import OFFERED
+from sonar_gl.raster.engine_names import ENGINES
 
 POSE = '"x y z roll pitch yaw", metres and radians'
 HELP = {
@@ -109,7 +110,7 @@ DEVICE = {
     "expose_value": False,
 }
 ENGINE = {
-    "type": click.Choice(("auto", "opengl", "cpu")),
+    "type": click.Choice(ENGINES),
     "show_default": "the variable SONAR_GL_ENGINE, or auto",
     "callback": _set_variable,
     "expose_value": False,

@@ -79,7 +79,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
     times_s, poses = poses_from(options, scene)
     sonar = sonar_from(options, scene)
     if options.counts is not None:
-        sonar = _with_counts(sonar, options)
+        sonar = _with_counts(sonar, options, style)
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses, water_from(options))
     folder = output_folder(options.out)
     with Simulator(scene, sonar, acoustics, tolerance=options.tolerance) as simulator:
@@ -121,10 +121,10 @@ def _check_combination(options, given: set[str]):
         check_fps(options.fps, film)
 
 
-def _with_counts(sonar: Sonar, options) -> Sonar:
+def _with_counts(sonar: Sonar, options, style: FanStyle) -> Sonar:
     """Return the sonar with the law of --counts; raise an Error where pictures cannot hold the bits that it adds."""
     law = sonar.counts.parse_changes("--counts", options.counts)
-    lacking = what_lacks_16_bits(options.colormap, options.axes, options.formats)
+    lacking = what_lacks_16_bits(style, options.formats)
     if law.bits > sonar.counts.bits and lacking is not None:
         raise Error(
             "--counts bits=16 needs gray PNG pictures without axes, since others have 8 bits "

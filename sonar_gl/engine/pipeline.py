@@ -1,4 +1,7 @@
-"""One ping: draw, receive, assemble. `Simulator.ping` does the three in turn, `Simulator.pings` overlaps them."""
+"""One ping: draw, receive, assemble. `Simulator.ping` does the three in turn, `Simulator.pings` overlaps them.
+
+Functions that draw need the engine: call them inside `Run.drawing`, as their docstrings say.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,10 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 
 
 def sample(run: Run, setup: PingSetup) -> tuple[ReceivedPing, PingReport]:
-    """Draw and receive a ping, again until its samples keep the tolerance, and report on it. Inside `drawing`."""
+    """Draw and receive a ping, again and again until its samples keep the tolerance, and report on it.
+
+    Call it inside `Run.drawing`.
+    """
     with run.image_sampling.without_plan() if setup.request.alone else nullcontext():
         received = _sample_until_kept(run, run.with_later_bodies(setup))
         return received, run.report(received)
@@ -50,7 +56,7 @@ def sample(run: Run, setup: PingSetup) -> tuple[ReceivedPing, PingReport]:
 def draw(
     sources: ImageSources | None, setups: Sequence[PingSetup], resolution: Resolution, keep_last: bool = False
 ) -> list[DrawnPing]:
-    """Draw the depth + normal pass of some pings, and of their image sources. Inside `drawing`.
+    """Draw the depth + normal pass of some pings, and of their image sources; call it inside `Run.drawing`.
 
     Parameters
     ----------
@@ -74,9 +80,9 @@ def draw(
 
 
 def receive(drawn: DrawnPing) -> ReceivedPing:
-    """Sum the samples of a ping into beams and range bins. No OpenGL: may run in another thread."""
+    """Sum the samples of a ping into beams and range bins. It needs no OpenGL, so that any thread may call it."""
     setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
-    # the gain holds transmission loss both ways, and TVG
+    # `setup.gain` is the two-way transmission loss and the TVG
     if setup.request.labels:
         direct, bodies = beamformer.sum_bodies(drawn.view, setup.gain)
         labels = label(drawn, bodies)
@@ -99,10 +105,15 @@ def assemble(
     thread: SecondThread,
     error_estimate: float | None = None,
 ) -> Ping:
-    """Do the receiver's last steps in their order: matched filter, motion during the ping, cross-talk, noise.
+    """Return the finished ping, after the receiver's last steps: matched filter, motion, cross-talk, noise.
 
-    Record how the ping was made, too. Counts are taken of the finished ping (`Ping.counts`). The thread helps with the
-    matched filter and the noise.
+    Its `meta` records how it was made. Counts are not taken here, but by `Ping.counts`. The arrays of `received` may be
+    overwritten.
+
+    Parameters
+    ----------
+    thread : does half of the matched filter and of the noise
+    error_estimate : of the ping; None without one
     """
     request, found = received.drawn.setup.request, labels_of_all_echo(received)
     powers = filtered_powers(received, thread)
@@ -120,7 +131,7 @@ def assemble(
 
 
 def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
-    """Draw and receive a ping as `sample` does, with image sources sampled as the run has them."""
+    """Draw and receive a ping until its samples, and those of its image sources, keep the tolerance."""
     if run.sampler.is_apart(setup):
         received, resolution = _sample_apart(run, setup)
     else:
@@ -140,16 +151,24 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
 
 
 def _sample_once(run: Run, setup: PingSetup, resolution: Resolution) -> ReceivedPing:
-    """Draw and receive a ping; how finely its image sources are sampled is chosen now."""
+    """Draw and receive a ping once, and choose how finely its image sources are sampled."""
     resolution = replace(resolution, halvings=run.image_sampling.begin(resolution.check))
     (drawn,) = draw(run.image_sources, [setup], resolution)
     return receive(drawn)
 
 
 def _sample_apart(run: Run, setup: PingSetup) -> tuple[ReceivedPing | None, Resolution | None]:
-    """Return a ping with samples chosen from it alone, and the resolution with which to sample it again, or None.
+    """Receive a ping whose samples are chosen from this ping alone.
 
-    There is no ping if its image sources do not fit: it gets coarser samples, if its request does not ask for these.
+    Returns
+    -------
+    the ping, and the resolution with which it must be sampled again, None if it is good. Where its image sources need
+    more samples than fit, there is no ping but only a coarser resolution
+
+    Raises
+    ------
+    SampleLimitError
+        if the image sources do not fit, and the request is `alone`, so that no coarser resolution may take its place.
     """
     chosen = choose_samples(run.sampler.search, setup)
     run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.n_pings + 1)
@@ -215,7 +234,7 @@ def further_states(setup: PingSetup) -> FurtherStates:
 
 
 def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> ReceivedPing:
-    """Sum what else there is beside the direct echo of a ping."""
+    """Sum the echoes of a ping other than its direct one."""
     volume, surface = receive_volume(drawn), receive_surface(drawn)
     if labels is not None:
         of_water = [echo.intensity for echo in (volume, surface) if echo is not None]
@@ -224,12 +243,12 @@ def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> R
     return ReceivedPing(
         drawn,
         direct,
-        receive_multipath(drawn),
-        labels,
-        volume,
-        surface,
-        receive_part(drawn, drawn.further.lobes),
-        receive_part(drawn, drawn.further.texture),
+        multipath=receive_multipath(drawn),
+        labels=labels,
+        volume=volume,
+        surface=surface,
+        lobes=receive_part(drawn, drawn.further.lobes),
+        texture=receive_part(drawn, drawn.further.texture),
     )
 
 
@@ -260,7 +279,10 @@ def receive_surface(drawn: DrawnPing) -> BeamEcho | None:
 
 
 def receive_part(drawn: DrawnPing, view: ViewSamples | None) -> BeamEcho | None:
-    """Sum a part of the surfaces' echo by itself, where a ping needs it. Bubbles attenuate it, but are not in it."""
+    """Sum one part of the surfaces' echo by itself; None where the ping has no view of it.
+
+    Bubbles attenuate this echo; their own echo is not in it.
+    """
     if view is None:
         return None
     samples = [one.with_echo() for one in view.sectors]
@@ -282,7 +304,10 @@ def shadowed_background(drawn: DrawnPing) -> ShadowedBackground | None:
 
 
 def labels_of_all_echo(received: ReceivedPing) -> Labels | None:
-    """Return the labels of a ping with shares of all echo; None without labels. Before the echoes are added up."""
+    """Return the labels of a ping, whose shares become those of all its echo; None without labels.
+
+    Call it before `filtered_powers`, which adds the other echoes to the direct one in place.
+    """
     labels, others = received.labels, (received.multipath, received.volume, received.surface)
     more = [echo.intensity for echo in others if echo is not None and echo.total]
     if labels is None or not more:
@@ -291,9 +316,10 @@ def labels_of_all_echo(received: ReceivedPing) -> Labels | None:
 
 
 def filtered_powers(received: ReceivedPing, thread: SecondThread) -> dict[str, np.ndarray | None]:
-    """Return the powers of a ping behind the matched filter, by the fields of `Ping` that they are.
+    """Return the powers of a ping after the matched filter, by the names of the fields of `Ping`.
 
-    Each is (B, K) float32, linear, or None where the ping does not need it.
+    Each is (B, K) float32, linear, or None where the ping does not need it. The other echoes are added to the array of
+    the direct one.
     """
     setup = received.drawn.setup
 
@@ -305,7 +331,7 @@ def filtered_powers(received: ReceivedPing, thread: SecondThread) -> dict[str, n
     echo = received.direct.with_more(received.multipath).with_more(received.volume)
     intensity = filtered(echo.with_more(received.surface))
     coherent, texture = filtered(received.lobes), filtered(received.texture)
-    # speckle needs it by itself where the water has few scatterers
+    # where the water has few scatterers, speckle needs their echo by itself
     volume = None if setup.acoustics.scatterer_density_m3 is None else filtered(received.volume)
     if texture is not None and coherent is not None:  # specular lobes are in both views
         texture = np.maximum(texture - coherent, 0)
@@ -315,14 +341,15 @@ def filtered_powers(received: ReceivedPing, thread: SecondThread) -> dict[str, n
 def shown_labels(
     instrument: Instrument, setup: PingSetup, labels: Labels | None, intensity: np.ndarray
 ) -> tuple[dict[str, np.ndarray], float | None]:
-    """Return the labels of a ping by the fields of `Ping`, and the level of the faintest echo that has one, dB.
+    """Return the labels of a ping by the names of the fields of `Ping`, and the least level that is labelled, dB.
 
-    Nothing, and None, without labels. By mean echoes: they do not depend on the noise's seed.
+    Without labels, return an empty table and None. The level is compared with the mean echo, so that labels do not
+    depend on the seed of the noise.
 
     Parameters
     ----------
     labels : with shares of all echo, or None; its arrays are overwritten
-    intensity : (B, K) behind the matched filter
+    intensity : (B, K) after the matched filter
     """
     if labels is None:
         return {}, None
@@ -383,7 +410,7 @@ def with_cross_talk(ping: Ping) -> Ping:
     leaky = replace(ping, **changed_powers(ping, leak))
     if ping.share is None:
         return leaky
-    # what other beams leak over a body is no echo of it
+    # echo that leaks from other beams into a bin is not of the body that labels the bin
     before, after = ping.intensity, leaky.intensity
     share = ping.share * np.divide(before, after, out=np.ones_like(after), where=after > before)
     share.setflags(write=False)

@@ -51,9 +51,12 @@ class Run:
         self, world: World, sonar: Sonar, acoustics: Acoustics, sampling: Sampling | None, tolerance: float
     ):
         world.join(id(self))
-        self._world, self._origin, self._described = world, None, None
-        self._in_flight, self._summing, self._is_closed, self._idle_workers = [], Lock(), False, []
-        self._image_sources, self.tolerance, self._has_warned_of_air = None, tolerance, False
+        self._world, self._is_closed, self._has_warned_of_air = world, False, False
+        self._in_flight: list[Job] = []  # for which `drawing` waits
+        self._summing = Lock()  # held by the one job of `receive_later` that runs
+        self._idle_workers = []  # PingWorkers of past sequences
+        self._origin, self._described = None, None  # a SampleOrigin, and the scene that it describes
+        self._image_sources, self.tolerance = None, tolerance
         self.image_sampling = ImageSampling(tolerance, each_alone=sampling is not None)
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -100,9 +103,9 @@ class Run:
             yield context
 
     def receive_later(self, work: Callable[[], list]) -> Job:
-        """Return a job for another thread that sums pings into arrays of this run; `drawing` waits for it.
+        """Return a job that sums pings into arrays of this run, for another thread to do; `drawing` waits for it.
 
-        Of several jobs one runs at a time, since they share these arrays.
+        Such jobs run one at a time, since they share these arrays.
         """
 
         def alone():
@@ -112,16 +115,16 @@ class Run:
         return self.await_job(Job(alone, IN_USE))
 
     def await_job(self, job: Job) -> Job:
-        """Have `drawing` wait for a job, and `World.add` of other runs; return it.
+        """Return a job after noting that `drawing`, and `World.add` of other runs, must wait for it.
 
-        An interrupt before a thread has got it leaves it to `drawing`.
+        If an interrupt comes before a thread has taken the job, `drawing` does it.
         """
         self.world.await_job(job)
         self._in_flight = [*(one for one in self._in_flight if not one.is_over), job]
         return job
 
     def set_up(self, request: PingRequest) -> PingSetup:
-        """Resolve a request in the scene as it is now; not inside `drawing`.
+        """Return a request resolved in the scene as it is now; do not call it inside `drawing`.
 
         Raises
         ------
@@ -132,7 +135,7 @@ class Run:
             return self.resolve(request)
 
     def resolve(self, request: PingRequest) -> PingSetup:
-        """Return what `set_up` does; inside `drawing`."""
+        """Return what `set_up` returns; call it inside `drawing`."""
         world, bubbles = self.world, self.instrument.acoustics.bubbles
         self._warn_of_air(request.pose)
         state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
@@ -173,7 +176,7 @@ class Run:
             warn_caller(text)
 
     def with_later_bodies(self, setup: PingSetup) -> PingSetup:
-        """Return a setup in a scene to which bodies may have been added since: they are absent."""
+        """Return a setup with the bodies that were added to the scene after it was made, as absent ones."""
         n_bodies = len(self.world.scene.bodies)
         n = n_bodies - setup.n_bodies
         if not n:
@@ -185,7 +188,7 @@ class Run:
 
     @property
     def resolution_ahead(self) -> Resolution:
-        """The resolution of a ping that is made while those before are awaited."""
+        """The resolution of a ping of a sequence that is made before the pings ahead of it have been reviewed."""
         return replace(self.sampler.resolution, halvings=self.image_sampling.halvings_ahead)
 
     @property
@@ -200,8 +203,8 @@ class Run:
         return [self._idle_workers.pop() if self._idle_workers else make() for _ in range(count)]
 
     def keep_workers(self, workers: Sequence) -> None:
-        """Keep the workers of a sequence that is over, and no more than these, for the next one."""
-        if not self._is_closed:  # else their stages would stay in memory
+        """Keep workers of a sequence that is over for the next one; as many at most as this sequence had."""
+        if not self._is_closed:  # a closed run would keep their stages in memory
             self._idle_workers[:] = [*self._idle_workers, *workers][-len(workers) :]
 
     def review(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> Resolution | None:
@@ -218,11 +221,15 @@ class Run:
     def fewer_samples(
         self, error: SampleLimitError, received: ReceivedPing | None, resolution: Resolution
     ) -> Resolution | None:
-        """Return a resolution in place of one whose samples are more than fit, or raise the error again.
+        """Return a coarser resolution in place of one whose samples are more than fit, or raise the error again.
 
-        None if it was of image sources alone, and the ping has the finest of these that fit.
+        Return None if only image sources were to be finer, and `received` has the finest that fit.
 
+        Parameters
+        ----------
+        error : of the samples that do not fit
         received : the ping with coarser samples; None before it was received
+        resolution : that does not fit
         """
         if not resolution.finer_images:
             return self.sampler.fewer_samples(error)
@@ -230,14 +237,14 @@ class Run:
         self.image_sampling.keep_to(halvings)
         return replace(resolution, halvings=halvings) if halvings < received.drawn.images.halvings else None
 
-    def review_ahead(self, received: ReceivedPing, choice) -> bool:
+    def review_ahead(self, received: ReceivedPing, choice: object) -> bool:
         """Review a ping of a sequence that was made ahead; return whether it must be made again.
 
-        Pings are reviewed in their order: how finely image sources are sampled follows from each.
+        Pings must be reviewed in their order, since each may change how finely image sources are sampled in the next.
 
-        choice : of the sampler when the ping was started
+        choice : `Sampler.choice` when the ping was started
         """
-        if received.drawn.resolution.plan is not None:  # it depends on no other choice
+        if received.drawn.resolution.plan is not None:  # its samples were chosen from it alone
             self.image_sampling.begin_alone()
         elif choice is not self.sampler.choice or self.sampler.has_changed(received.direct.total):
             return True
@@ -252,6 +259,7 @@ class Run:
         return echo is not None and self.image_sampling.review(echo, coarser and self._multipath_of(coarser))
 
     def _multipath_of(self, received: ReceivedPing) -> MultipathEcho | None:
+        """Return what the image sampling needs of a ping; None without multipath."""
         if received.multipath is None:
             return None
         echoes = received.multipath, received.direct
@@ -264,7 +272,7 @@ class Run:
         return self.sampler.error_estimate(drawn.setup) if plan is None else plan.bound
 
     def sample_origin(self) -> SampleOrigin:
-        """Return what the `meta` of pings states about the scene and the driver."""
+        """Return what the `meta` of pings states about the scene and the driver; made again when the scene changes."""
         scene = self.world.scene
         if self._described is not scene:  # at first, and when bodies were added
             self._origin = SampleOrigin(
@@ -293,7 +301,7 @@ class Run:
             self.image_sampling.warn_if_unmet(echo)
             estimate = estimate if echo is None else max(estimate, self.image_sampling.error_of(echo))
         origin = self.sample_origin()
-        # others were added since it was set up, and are not in it
+        # bodies and plumes that were added after the set-up are not in the ping
         if setup.n_bodies < len(origin.bodies) or setup.n_plumes < len(origin.plumes):
             known = {"bodies": origin.bodies[: setup.n_bodies], "plumes": origin.plumes[: setup.n_plumes]}
             origin = replace(origin, **known)

@@ -259,7 +259,7 @@ def _make_ahead(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
     """Yield the pings to come, in order. A ping that has to wait is made here, once all before it have come out."""
     in_flight: deque[_Started] = deque()
     with run.drawing():
-        threads = _ReceiverThread(run) if run.world.engine.name == "opengl" else _PingThreads(run)
+        threads = _PingThreads(run) if run.world.engine.draws_in_threads else _ReceiverThread(run)
     try:
         while upcoming.fill(threads.most) or in_flight:
             must_wait = _start_next(run, upcoming, threads, in_flight)

@@ -19,26 +19,6 @@ from sonar_gl.sonar.counts import Counts
 DARK_BLUE = 128  # the first colour of Jet
 
 
-def holds_16_bits(law: Counts, colormap: str, axes: bool = False) -> bool:
-    """Return whether a picture by a law of counts holds its 16 bits: gray and bare, since colours have 8."""
-    return law.bits == 16 and colormap == "gray" and not axes
-
-
-def what_lacks_16_bits(colormap: str, axes: bool, formats: Iterable[str]) -> str | None:
-    """Return which setting of fan images has no place for counts of 16 bits; None if all have.
-
-    >>> what_lacks_16_bits("copper", False, ["png"])
-    'colormap copper'
-    """
-    if set(formats) == {"npz"}:  # a file of intensities, and of the law
-        return None
-    if films := [one for one in FILMS if one in formats]:
-        return f"format {films[0]}"
-    if colormap != "gray":
-        return f"colormap {colormap}"
-    return "axes" if axes else None
-
-
 @dataclass(frozen=True)
 class FanStyle:
     """Fan images in colour, or in gray of 16 bits. Raises Error if the colour map is unknown.
@@ -52,19 +32,43 @@ class FanStyle:
 
     height: int
     colormap: str
-    axes: bool
+    axes: bool = False
 
     def __post_init__(self):
         colours(self.colormap)
+
+    @property
+    def setting_of_8_bits(self) -> str | None:
+        """The setting by which pictures have 8 bits, since they are in colour or drawn on; None if 16 are possible."""
+        if self.colormap != "gray":
+            return f"colormap {self.colormap}"
+        return "axes" if self.axes else None
+
+    def holds_16_bits(self, law: Counts) -> bool:
+        """Return whether pictures by a law of counts have its 16 bits."""
+        return law.bits == 16 and self.setting_of_8_bits is None
 
     def __call__(self, _simulator, ping: Ping, _number: int = 0) -> np.ndarray:
         """Return the picture of a ping: (H, W, 3) uint8 RGB; or its counts, (H, W) uint16, where it `holds_16_bits`."""
         law = ping.counts_law()
         picture = fan_image(ping, self.height, law)
-        if holds_16_bits(law, self.colormap, self.axes):
+        if self.holds_16_bits(law):
             return law.counts_of(picture)
         picture = colorize(picture, self.colormap)
         return draw_axes(picture, ping, self.colormap) if self.axes else picture
+
+
+def what_lacks_16_bits(style: FanStyle, formats: Iterable[str]) -> str | None:
+    """Return which setting of fan images, or which format, has no place for counts of 16 bits; None if all have.
+
+    >>> what_lacks_16_bits(FanStyle(800, "copper", axes=False), ["png"])
+    'colormap copper'
+    """
+    if set(formats) == {"npz"}:  # a file of intensities, and of the law
+        return None
+    if films := [one for one in FILMS if one in formats]:
+        return f"format {films[0]}"
+    return style.setting_of_8_bits
 
 
 def shows_echo(picture: np.ndarray) -> np.ndarray:

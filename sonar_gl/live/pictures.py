@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from sonar_gl.imaging.fan_image import azimuth_key, colorize, fan_geometry, fan_image, nearest_cells
-from sonar_gl.imaging.styles import holds_16_bits
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
@@ -25,7 +24,7 @@ def picture_of(ping: Ping, settings: LiveSettings) -> np.ndarray:
 def still_of(ping: Ping, settings: LiveSettings) -> np.ndarray:
     """Return the picture of a ping for a PNG file: of its counts, (H, W) uint16, where it `holds_16_bits`."""
     law = ping.counts_law(settings.law)
-    if not holds_16_bits(law, settings.colormap):
+    if not settings.style.holds_16_bits(law):
         return picture_of(ping, settings)
     return law.counts_of(_share(ping, settings, law))
 

@@ -16,9 +16,10 @@ from sonar_gl.core.checks import (
 )
 from sonar_gl.core.errors import Error
 from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
-from sonar_gl.imaging.fan_image import MAX_HEIGHT, colours
+from sonar_gl.imaging.fan_image import MAX_HEIGHT
+from sonar_gl.imaging.styles import FanStyle
 from sonar_gl.noise.settings import Noise
-from sonar_gl.raster.engine import ENGINES
+from sonar_gl.raster.engine_names import ENGINES
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sampling import check_tolerance
 from sonar_gl.sonar.sonar import Sonar, load_sonar
@@ -86,8 +87,8 @@ class LiveSettings:
         check_whole_number("seed", self.seed)
         if self.engine is not None:
             check_choice("engine", self.engine, ENGINES)
-        colours(self.colormap)
-        if self.counts is not None and self.counts.bits > self.sonar.counts.bits and self.colormap != "gray":
+        lacking = self.style.setting_of_8_bits  # raises Error for an unknown colour map
+        if self.counts is not None and self.counts.bits > self.sonar.counts.bits and lacking is not None:
             raise Error(
                 "counts of 16 bits need the colour map gray, since others have 8 bits "
                 f"(got {self.colormap}; give gray, or bits = 8)"
@@ -108,6 +109,11 @@ class LiveSettings:
     def law(self) -> Counts:
         """The law of counts by which pings are shown."""
         return self.sonar.counts if self.counts is None else self.counts
+
+    @property
+    def style(self) -> FanStyle:
+        """The style of pictures of the form "fan", of which those of the form "polar" have the colours."""
+        return FanStyle(self.height, self.colormap)
 
     @property
     def water(self) -> Water:

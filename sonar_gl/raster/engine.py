@@ -15,13 +15,13 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster import opengl
 from sonar_gl.raster.cpu.engine import CpuEngine
+from sonar_gl.raster.engine_names import ENGINES
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import MAX_SAMPLES, RenderWorkspace
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import ViewSamples
 
-ENGINES = "auto", "opengl", "cpu"
 ENGINE_VARIABLE, DEVICE_VARIABLE = "SONAR_GL_ENGINE", "SONAR_GL_DEVICE"
 WITHOUT_EGL = "darwin", "win32"  # systems on which the package that makes contexts has none by EGL
 # Files of graphics drivers in /dev: a machine without any of them has no graphics card, and needs no OpenGL to say so.
@@ -66,13 +66,17 @@ class RasterEngine(Protocol):
 
     Attributes
     ----------
-    name : "opengl" or "cpu"
-    driver : names and limits of what draws
+    name : one of ENGINES, but "auto"
+    draws_in_threads : whether several threads may draw at once, each with renderers of a workspace of its own. If not,
+        the thread of the caller draws all pings of a sequence
+    driver : names and limits of what draws, which `Simulator.gl_info` shows: "engine" is the name; "renderer",
+        "vendor" and "version" are text, of which pings and batches record some; others are for reports alone
     contents : the meshes as they are drawn; replaced as a whole when bodies are added
     meshes : SceneMeshes of the contents
     """
 
     name: str
+    draws_in_threads: bool
     driver: dict[str, Any]
     contents: Any
     meshes: SceneMeshes

@@ -35,11 +35,11 @@ from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 PRESETS = Path(__file__).with_name("sonars.toml")
 RANGE_MAX_BOUNDS_M = 1e-3, 1e5
 MAX_BINS = 65536  # also of beams
-# Of range_max_m. The bin of a range is found from its inverse, whose rounding must stay far below a bin: else the sums
-# would go beyond their arrays.
+# Least length of a bin over range_max_m. The sums find the bin of a range from 1/range: if its rounding were not far
+# below a bin, they would write beyond their arrays.
 SHORTEST_BIN = 1e-9
 LEVEL = "give dB relative to the echo of a sphere about the sonar, at 1 m"  # of noise, in messages
-# what a level says that is no likely one of noise
+# what is likely wrong with a level of noise above 0 dB
 ABSOLUTE_LEVEL = (
     "exceeds the echo of a sphere about the sonar at 1 m, to which it is relative; if it is in dB re 1 µPa, subtract "
     "that echo's level (absolute_levels states it)"
@@ -188,6 +188,15 @@ class Sonar:
         if not isinstance(self.counts, Counts):  # a table of a file
             with errors_at(location):
                 object.__setattr__(self, "counts", DEFAULT_COUNTS.changed(self.counts))
+        self._check_each_field(location)
+        self._check_fields_together(location)
+        if self.beam_azimuths_deg is not None:
+            object.__setattr__(self, "beam_azimuths_deg", self._checked_azimuths_deg(location))
+        for text in self._likely_mistakes():
+            warn_caller(f"{location}: {text}")
+
+    def _check_each_field(self, location: str) -> None:
+        """Raise an `Error` for a number out of bounds, or an unknown name, and for more bins than the device has."""
         for key in ("n_beams", "n_bins"):
             check_whole_number(f"{location}: {key}", getattr(self, key), 1, MAX_BINS)
         check_whole_number(f"{location}: cross_talk_beams", self.cross_talk_beams, 1, MAX_BINS)
@@ -203,6 +212,9 @@ class Sonar:
             raise Error(f"{location}: keeps_n_bins must be true or false (got {shown(self.keeps_n_bins)})")
         for key, names in CHOICES.items():
             check_choice(key, getattr(self, key), names, location)
+
+    def _check_fields_together(self, location: str) -> None:
+        """Raise an `Error` for fields that contradict each other."""
         if self.beam_spacing == "sine" and self.azimuth_fov_deg > 180:
             raise Error(
                 f'{location}: beam_spacing "sine" needs an azimuth_fov_deg of 180 degrees at most '
@@ -228,20 +240,20 @@ class Sonar:
                 f"{location}: bandwidth_hz must not exceed frequency_hz "
                 f"(got {self.bandwidth_hz:g} and {self.frequency_hz:g}; give both in hertz)"
             )
-        if self.beam_azimuths_deg is not None:
-            azimuths = frozen_array(
-                self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{location}: beam_azimuths_deg"
+
+    def _checked_azimuths_deg(self, location: str) -> tuple[float, ...]:
+        """Return the table of azimuths as numbers; raise an `Error` unless they rise, within the fan."""
+        azimuths = frozen_array(
+            self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{location}: beam_azimuths_deg"
+        )
+        if (np.diff(azimuths) <= 0).any():
+            raise Error(f"{location}: beam_azimuths_deg must rise (starboard first, positive to port)")
+        if np.abs(azimuths).max() > self.azimuth_fov_deg / 2:
+            raise Error(
+                f"{location}: beam_azimuths_deg must lie within ±azimuth_fov_deg/2 = "
+                f"±{self.azimuth_fov_deg / 2:g} (got {azimuths[0]:g} to {azimuths[-1]:g})"
             )
-            if (np.diff(azimuths) <= 0).any():
-                raise Error(f"{location}: beam_azimuths_deg must rise (starboard first, positive to port)")
-            if np.abs(azimuths).max() > self.azimuth_fov_deg / 2:
-                raise Error(
-                    f"{location}: beam_azimuths_deg must lie within ±azimuth_fov_deg/2 = "
-                    f"±{self.azimuth_fov_deg / 2:g} (got {azimuths[0]:g} to {azimuths[-1]:g})"
-                )
-            object.__setattr__(self, "beam_azimuths_deg", tuple(azimuths.tolist()))
-        for text in self._likely_mistakes():
-            warn_caller(f"{location}: {text}")
+        return tuple(azimuths.tolist())
 
     def _likely_mistakes(self) -> Iterator[str]:
         """Yield a sentence about each number that looks like one of another unit: unlikely but possible."""
@@ -347,8 +359,8 @@ class Sonar:
     def fan_edges_rad(self) -> tuple[float, float]:
         """Edges of what the beams image, radians, starboard first: those of the field of view.
 
-        A table of azimuths may lie aside in that; its edges are half a spacing outside the outer beams, of a single
-        beam half its width.
+        With a table of azimuths, which may fill a part of the field of view, the edges lie half a spacing outside the
+        outer beams; of a single beam, half its width.
 
         >>> [round(math.degrees(edge), 3) for edge in load_sonar("p900-45").fan_edges_rad]
         [-22.5, 22.5]
@@ -364,7 +376,7 @@ class Sonar:
     def is_straight_array(self) -> bool:
         """Whether one straight array forms all beams, as `beam_spacing` "sine" or `steered` "straight" say.
 
-        With a table of azimuths, too: a table that one straight array does not have needs `beam_spacing` "angle".
+        This holds for a table of azimuths, too: if no straight array forms its beams, `beam_spacing` must be "angle".
         """
         return self.beam_spacing == "sine" or self.steered == "straight"
 
@@ -449,8 +461,8 @@ class Sonar:
     def with_range(self, range_max_m: float, n_bins: int | None = None) -> Sonar:
         """Return the sonar set to another maximum range, with bins of the same size, or as many if `keeps_n_bins`.
 
-        Bins of the same size are `n_bins_max` at most, and longer where that is not enough. Longer bins stay long: set
-        each range from the sonar with the shorter bins.
+        If the range would take more than `n_bins_max` bins of the same size, there are `n_bins_max` longer ones. Longer
+        bins do not become shorter again at a shorter range: set each range from the sonar with the shorter bins.
 
         Parameters
         ----------

@@ -1485,7 +1485,9 @@ def test_the_page_of_batches_states_the_keys_of_the_outputs():
         settings = Job.model_fields[name].annotation.model_fields
         known = {key: field.get_default() for key, field in settings.items()}
         stated = re.findall(r"`(\w+)(?: = (.*?))?`", keys)
-        assert sorted(key for key, _ in stated) == sorted(known), name
+        assert sorted(key for key, _ in stated) == sorted(known), (
+            f"the row [{name}] of docs/batch.md must state the keys of its table in sonar_gl/batch/job.py"
+        )
         for key, default in stated:
             assert json.loads(default) == known[key] if default else not known[key], (name, key)
 

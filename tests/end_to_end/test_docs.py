@@ -25,6 +25,7 @@ from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.trajectories import KINDS
 from sonar_gl.cli import main as cli
 from sonar_gl.imaging.files import NPZ_FIELDS
+from sonar_gl.scene.load import SUFFIXES
 from tests.support.batches import LABELS, make_all, write_plain_job
 from tests.support.command_line import ended
 from tools import compare_real
@@ -438,6 +439,16 @@ def test_messages_of_the_readme_are_said(message):
         return
     said = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "sonar_gl").rglob("*.py"))
     assert message in said
+
+
+@pytest.mark.parametrize("ending", SUFFIXES)
+def test_every_ending_of_a_scene_is_told(ending):
+    assert f"`{ending}`" in text_of(ROOT / "docs" / "conventions.md"), (
+        "docs/conventions.md must name the ending"
+    )
+    assert re.search(rf"{re.escape(ending)}\b", sg.load_scene.__doc__), (
+        "the docstring of load_scene must name the ending"
+    )
 
 
 def test_names_and_shapes_of_an_npz_are_those_of_the_page():

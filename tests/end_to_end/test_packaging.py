@@ -101,7 +101,7 @@ def test_every_package_is_listed():
         for installed, kept in FOLDERS.items()
         for path in (ROOT / kept).rglob("__init__.py")
     }
-    assert set(setup["options"]["packages"].split()) == packages
+    assert set(setup["options"]["packages"].split()) == packages, "list the packages in setup.cfg"
 
 
 def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel):

@@ -325,7 +325,7 @@ class CpuEngine:
     driver : what stands in for the driver's names
     """
 
-    name = "cpu"
+    name, draws_in_threads = "cpu", True
 
     def __init__(self, scene: Scene):
         empty = Vertices(np.empty((0, 3), np.float32), np.empty((0, 3), np.float32), np.empty(0, np.float32))

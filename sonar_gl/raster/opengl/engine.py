@@ -27,7 +27,7 @@ class OpenGLEngine:
     context : of its own, which goes with it; None joins the context that is current, a host's
     """
 
-    name = "opengl"
+    name, draws_in_threads = "opengl", False  # a context is current in one thread
 
     def __init__(self, scene: Scene, context: moderngl.Context | None):
         self._host_thread = threading.current_thread() if context is None else None
