@@ -15,7 +15,7 @@ import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
 from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer
 from sonar_gl.core.errors import SampleLimitError
-from sonar_gl.engine import error_model, visibility
+from sonar_gl.engine import adaptive, error_model, visibility
 from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import COARSEST, ImageSources
@@ -367,6 +367,56 @@ class TestMoving:
         assert (choice.level, choice.finest, choice.is_due) == expected
         assert not made and len(dropped) == (choice.level < level)
         assert [one.category for one in caught] == [ToleranceWarning] * (steps > 0 and level == finest)
+
+    def test_the_next_pings_follow_one_whose_samples_were_chosen_alone(self, monkeypatch):
+        """With its costs alone, and no finer samples than fit there; not where its request asked for that."""
+        monkeypatch.setattr(adaptive, "RECENT", 5)
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            run, plan = simulator.run, simulator.run.sampler.plan
+            sampler, unmet = run.sampler, replace(plan, level=5, met=False)
+            for _ in range(10):
+                simulator.ping(np.eye(4))
+            history = sampler.history
+            assert history.n_pings == 11 and len(history.costs) == 5
+            setup = run.set_up(PingRequest(np.eye(4)))
+            before = sampler.choice
+            sampler.follow(run.set_up(PingRequest(np.eye(4), alone=True)), plan, 7.0, history.n_pings + 1)
+            assert (sampler.choice, sampler.history) == (before, history)
+            ended = sampler.history_with_apart(setup)
+            assert (ended.n_pings, ended.last, ended.costs) == (history.n_pings + 1, setup, ())
+            sampler.follow(setup, plan, 7.0, history.n_pings - 1)  # later ones were added meanwhile
+            assert sampler.history is history
+            assert (sampler.choice.level, sampler.choice.finest) == (plan.level, FINEST_LEVEL)
+            assert sampler.choice.last_check == (setup, 7.0, history.n_pings - 1)
+            for n_pings in (history.n_pings, history.n_pings + 3):
+                with (
+                    contextlib.nullcontext() if n_pings > history.n_pings else pytest.warns(ToleranceWarning)
+                ):
+                    sampler.follow(setup, unmet, 7.0, n_pings)
+                assert sampler.history == (n_pings, setup, (plan.n_samples + adaptive.FIXED_SAMPLES,))
+                assert (sampler.choice.level, sampler.choice.finest) == (5, 5)
+
+    def test_samples_that_do_not_fit_have_the_next_coarser_level_checked(self):
+        """Down to the coarsest; planned ones stay."""
+        error = SampleLimitError("too many")
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            sampler = simulator.run.sampler
+            sampler.choice = replace(sampler.choice, level=1)
+            with simulator.run.drawing():
+                resolution = sampler.fewer_samples(error)
+            assert resolution.check and resolution.stage.sampling == sampling_at(SONAR, 0)
+            assert (sampler.choice.level, sampler.choice.finest, sampler.choice.is_due) == (0, 0, True)
+            with pytest.raises(SampleLimitError):
+                sampler.fewer_samples(error)
+            plan = simulator.plan([np.eye(4)])
+            before, history = sampler.choice, sampler.history
+            assert before.is_planned and plan.level > 0 and before.finest == FINEST_LEVEL
+            with pytest.raises(SampleLimitError):
+                sampler.fewer_samples(error)
+            simulator.ping(sg.pose(5, yaw=2.0))  # far, and not in the history
+            assert sampler.choice is before and sampler.history is history
 
     def test_an_interrupted_choice_is_made_anew(self, monkeypatch):
         with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
