@@ -62,6 +62,7 @@ MULTIPATH = ("test_multipath",)
 TRIANGLES = ("test_engines", "test_specular")
 CULLING = ("test_cull", "test_level_of_detail", "test_window")
 ADAPTIVE = ("test_adaptive", "test_moving_bodies", "test_sequence")
+LEVEL_SEARCH = ("test_level_search",)
 NOISE = (
     "test_noise",
     "test_speckle",
@@ -959,7 +960,48 @@ MUTATIONS = (
     ),
     Mutation("planner/echo that gets weaker", "abs(total - before) >", "(total - before) >", ADAPTIVE),
     Mutation("planner/view of bubbles", "state.bubbles, setup.gain", "setup.gain", ADAPTIVE),
-    # noise
+    Mutation(
+        "planner/echo of a search",
+        "return FoundLevel(*found[level], finest)",
+        "return FoundLevel(found[level][0], tried.echo.total, finest)",
+        LEVEL_SEARCH,
+    ),
+    Mutation(
+        "planner/a plan that is not met",
+        "met=all(plan.met for plan in plans)",
+        "met=all(plan.met for plan in finest)",
+        LEVEL_SEARCH,
+    ),
+    Mutation(
+        "planner/samples that fit again",
+        "finest = self.search.finest self._stages.drop_large()",
+        "self._stages.drop_large()",
+        ADAPTIVE,
+    ),
+    Mutation(
+        "planner/samples that do not fit alone",
+        "self.search.finest if plan.met else plan.level",
+        "self.search.finest",
+        ADAPTIVE,
+    ),
+    Mutation(
+        "planner/costs of another place",
+        "costs = (float(plan.n_samples + FIXED_SAMPLES),)",
+        "costs = *history.costs, float(plan.n_samples + FIXED_SAMPLES)",
+        ADAPTIVE,
+    ),
+    Mutation(
+        "planner/image sources of the hardest pose",
+        "min(least, found.halvings)",
+        "found.halvings",
+        ("test_planning",),
+    ),
+    Mutation(
+        "planner/image sources of a plan before",
+        "images.release() for setup in evenly_picked",
+        "for setup in evenly_picked",
+        ("test_planning",),
+    ),
     Mutation(
         "noise/cells of one column of the sea",
         "for n in (cell_x, cell_y, chunk)",
@@ -1190,6 +1232,9 @@ MUTATIONS = (
         "np.gcd(CHUNK_PINGS, part)",
         "min(CHUNK_PINGS, part)",
         STORE,
+    ),
+    Mutation(
+        "store/azimuths as coordinates", "{**array.attributes, **coordinates}", "array.attributes", STORE
     ),
     # records of a batch
     Mutation("records/checksum", "if record_bytes(values) == data:", "if values is not None:", RECORDS),

@@ -190,7 +190,8 @@ class AdaptiveSampling:
         wanted, most = max(0, min(level, choice.finest)), self._most_cost(self.history)
         finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
         checkable = [n for n in finer if self._cost(n, check=True) <= most]
-        level, finest = (checkable or finer or [min(wanted, choice.level)])[-1], choice.finest
+        # coarser where none is finer: the next finer level costs less than the check that asked for it
+        level, finest = (checkable or finer or [wanted])[-1], choice.finest
         if level < choice.level:
             finest = self.search.finest
             self._stages.drop_large()

@@ -135,11 +135,11 @@ class LevelSearch:
         level = min(first, finest)
         # the level lies above the one that failed; the other limit has kept the tolerance, or does not fit
         failed, kept = -1, finest + 1
-        found, total = {}, 0.0
+        found = {}
         while level not in found:
             try:
                 tried = self.model.draw(setup, level)
-                found[level] = judged = self.model.judge(setup, level, tried)
+                judged = self.model.judge(setup, level, tried)
             except SampleLimitError:
                 if level == 0:
                     raise
@@ -147,7 +147,8 @@ class LevelSearch:
                 kept = min(kept, level)
                 level = max(level - 1, failed)
                 continue
-            total, steps = tried.echo.total, judged.steps
+            # not of the last level that is tried, which may be coarser
+            found[level], steps = (judged.plan, tried.echo.total), judged.steps
             if steps > 0:
                 failed = max(failed, level)
             else:
@@ -158,7 +159,7 @@ class LevelSearch:
             if level <= failed:
                 level = min(kept, finest)
         self._stages.drop_large()
-        return FoundLevel(found[level].plan, total, finest)
+        return FoundLevel(*found[level], finest)
 
     def find_for_all(self, setups: Sequence[PingSetup]) -> Plan:
         """Find the coarsest level that keeps the tolerance in all of some pings, of many in MAX_POSES.

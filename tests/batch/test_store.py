@@ -83,6 +83,19 @@ def test_every_part_is_found_where_it_was_written(tmp_path, part, chunk):
     assert np.array_equal(data.azimuth_rad, SONAR.azimuth_rad) and np.array_equal(data.range, SONAR.range_m)
 
 
+def test_arrays_name_their_coordinates_and_are_shuffled_as_their_numbers_pack_best(tmp_path):
+    """Azimuths are of beams alone; floats by bits, whose last ones are rounded away, and labels by bytes."""
+    make_store(Folder(tmp_path), 12)
+    consolidate(Folder(tmp_path))
+    data = xr.open_dataset(tmp_path / "pings.zarr", mask_and_scale=False)
+    coordinates = {name: set(data[name].coords) for name in ("intensity", "elevation_rad", "body_box")}
+    of_bins = {"azimuth_rad", "range"}
+    assert coordinates == {"intensity": of_bins, "elevation_rad": of_bins, "body_box": set()}
+    for spec in SPECS:
+        (codec,) = zarr.open_array(tmp_path / "pings.zarr" / spec.name).compressors
+        assert codec.shuffle.value == ("bitshuffle" if spec.dtype == "float32" else "shuffle")
+
+
 def test_parts_of_which_nothing_differs_from_the_fill_are_files_all_the_same(tmp_path):
     """A record names them; who copies the set would otherwise not miss them."""
     folder = Folder(tmp_path)

@@ -15,13 +15,14 @@ import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer
 from sonar_gl.core.errors import SampleLimitError
-from sonar_gl.engine import error_model, visibility
+from sonar_gl.engine import adaptive, error_model, visibility
 from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import COARSEST, ImageSources
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
 from sonar_gl.engine.request import PingRequest
+from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.engine.visibility import (
     BodyCounts,
     BodyExtents,
@@ -34,7 +35,13 @@ from sonar_gl.engine.visibility import (
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
-from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning, sampling_at, typical_level
+from sonar_gl.sonar.sampling import (
+    FINEST_LEVEL,
+    WORST_BODY,
+    ToleranceWarning,
+    sampling_at,
+    typical_level,
+)
 from sonar_gl.sonar.sector import SHEAR
 from tests.support.estimates import record_estimates
 from tests.support.interrupts import Interrupter
@@ -325,6 +332,98 @@ class TestMoving:
             changed = [sampler.has_changed(share * total) for share in (0, 0.79, 0.81, 1.19, 1.21)]
         assert changed == [True, True, False, False, True]
 
+    @pytest.mark.parametrize(
+        ("level", "finest", "steps", "expected"),
+        [
+            (8, FINEST_LEVEL, 3, (11, FINEST_LEVEL, True)),
+            (8, 9, 3, (9, 9, True)),  # more do not fit
+            (8, 8, 3, (8, 8, False)),
+            (8, FINEST_LEVEL, 0, (8, FINEST_LEVEL, False)),
+            (8, 9, -3, (8, 9, False)),
+            (8, 9, -4, (4, FINEST_LEVEL, True)),  # half as wide again in both directions
+            (2, FINEST_LEVEL, -4, (0, FINEST_LEVEL, True)),
+            (0, FINEST_LEVEL, -4, (0, FINEST_LEVEL, False)),
+        ],
+    )
+    def test_a_check_moves_the_level_as_far_as_there_are_samples(
+        self, level, finest, steps, expected, monkeypatch
+    ):
+        """And has the new level checked; at any cost, here. Its stage is made already, and memory given back."""
+        judge, make, made, dropped = error_model.ErrorModel.judge, StageCache.make, [], []
+
+        def judged(*arguments):
+            found = judge(*arguments)
+            return found._replace(steps=steps, plan=replace(found.plan, met=steps <= 0))
+
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            sampler = simulator.run.sampler
+            sampler.choice = replace(sampler.choice, level=level, finest=finest, is_due=True)
+            sampler.history = sampler.history._replace(costs=(1e12,) * 9)
+            monkeypatch.setattr(error_model.ErrorModel, "judge", judged)
+            monkeypatch.setattr(StageCache, "make", lambda *of: made.append(of[1]) or make(*of))
+            monkeypatch.setattr(StageCache, "drop_large", lambda _: dropped.append(1))
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                simulator.ping(np.eye(4))
+            choice = sampler.choice
+            made.clear()
+            with simulator.run.drawing():
+                assert sampler.resolution.stage.sampling == sampling_at(SONAR, choice.level)
+        assert (choice.level, choice.finest, choice.is_due) == expected
+        assert not made and len(dropped) == (choice.level < level)
+        assert [one.category for one in caught] == [ToleranceWarning] * (steps > 0 and level == finest)
+
+    def test_the_next_pings_follow_one_whose_samples_were_chosen_alone(self, monkeypatch):
+        """With its costs alone, and no finer samples than fit there; not where its request asked for that."""
+        monkeypatch.setattr(adaptive, "RECENT", 5)
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            run, plan = simulator.run, simulator.run.sampler.plan
+            sampler, unmet = run.sampler, replace(plan, level=5, met=False)
+            for _ in range(10):
+                simulator.ping(np.eye(4))
+            history = sampler.history
+            assert history.n_pings == 11 and len(history.costs) == 5
+            setup = run.set_up(PingRequest(np.eye(4)))
+            before = sampler.choice
+            sampler.follow(run.set_up(PingRequest(np.eye(4), alone=True)), plan, 7.0, history.n_pings + 1)
+            assert (sampler.choice, sampler.history) == (before, history)
+            ended = sampler.history_with_apart(setup)
+            assert (ended.n_pings, ended.last, ended.costs) == (history.n_pings + 1, setup, ())
+            sampler.follow(setup, plan, 7.0, history.n_pings - 1)  # later ones were added meanwhile
+            assert sampler.history is history
+            assert (sampler.choice.level, sampler.choice.finest) == (plan.level, FINEST_LEVEL)
+            assert sampler.choice.last_check == (setup, 7.0, history.n_pings - 1)
+            for n_pings in (history.n_pings, history.n_pings + 3):
+                with (
+                    contextlib.nullcontext() if n_pings > history.n_pings else pytest.warns(ToleranceWarning)
+                ):
+                    sampler.follow(setup, unmet, 7.0, n_pings)
+                assert sampler.history == (n_pings, setup, (plan.n_samples + adaptive.FIXED_SAMPLES,))
+                assert (sampler.choice.level, sampler.choice.finest) == (5, 5)
+
+    def test_samples_that_do_not_fit_have_the_next_coarser_level_checked(self):
+        """Down to the coarsest; planned ones stay."""
+        error = SampleLimitError("too many")
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            sampler = simulator.run.sampler
+            sampler.choice = replace(sampler.choice, level=1)
+            with simulator.run.drawing():
+                resolution = sampler.fewer_samples(error)
+            assert resolution.check and resolution.stage.sampling == sampling_at(SONAR, 0)
+            assert (sampler.choice.level, sampler.choice.finest, sampler.choice.is_due) == (0, 0, True)
+            with pytest.raises(SampleLimitError):
+                sampler.fewer_samples(error)
+            plan = simulator.plan([np.eye(4)])
+            before, history = sampler.choice, sampler.history
+            assert before.is_planned and plan.level > 0 and before.finest == FINEST_LEVEL
+            with pytest.raises(SampleLimitError):
+                sampler.fewer_samples(error)
+            simulator.ping(sg.pose(5, yaw=2.0))  # far, and not in the history
+            assert sampler.choice is before and sampler.history is history
+
     def test_an_interrupted_choice_is_made_anew(self, monkeypatch):
         with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
             expected = simulator.ping(np.eye(4)).intensity
@@ -368,6 +467,28 @@ class TestMoving:
         truth = sg.reference_ping(scene, SONAR, second, IDEAL, error=0.05)
         assert truth.intensity.any()
         assert ping.error_estimate > 0 and ping_error(ping, truth) < 0.02
+
+    @pytest.mark.parametrize("costs", [(), (1.0,) * 9], ids=["usual", "less before"])
+    def test_the_first_echo_of_all_is_sampled_for_the_tolerance_whatever_that_costs(self, costs):
+        """A check of it was to wait for dearer pings."""
+        with sg.Simulator(sg.Scene([ball(x=8.0, radius=0.3)]), SONAR, IDEAL, tolerance=0.02) as simulator:
+            with pytest.warns(UserWarning, match="no echo came back"):
+                simulator.ping(sg.pose(x=-12.6))
+            sampler = simulator.run.sampler
+            before = sampler.choice.level
+            sampler.history = sampler.history._replace(costs=sampler.history.costs + costs)
+            assert 0 < simulator.ping(sg.pose(x=-11.8)).error_estimate <= 0.02
+            assert sampler.choice.level > before and sampler.plan.met
+
+    def test_the_first_echo_of_all_is_drawn_once_where_its_samples_keep_the_tolerance(self, monkeypatch):
+        n_drawn, draw, judge = [], Stage.draw, error_model.ErrorModel.judge
+        with sg.Simulator(sg.Scene([ball()]), SONAR, IDEAL) as simulator:
+            with pytest.warns(UserWarning, match="no echo came back"):
+                simulator.ping(sg.pose(x=-13.0))
+            monkeypatch.setattr(Stage, "draw", lambda *args, **more: n_drawn.append(1) or draw(*args, **more))
+            monkeypatch.setattr(error_model.ErrorModel, "judge", lambda *args: judge(*args)._replace(steps=0))
+            assert simulator.ping(sg.pose(x=-12.4)).intensity.any()
+        assert len(n_drawn) == 2  # and with fewer samples, to compare it with
 
     def test_the_same_pings_give_the_same_bytes(self):
         poses = [sg.pose(0.2 * k, yaw=0.05 * k) for k in range(20)]
