@@ -222,7 +222,12 @@ class AdaptiveSampling:
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
         level = self.choice.level - 1
-        if level < 0 or self.choice.is_planned:
+        if self.choice.is_planned:
+            raise SampleLimitError(
+                f"planned samples must fit at each pose, and do not at this one, which the plan did not try: {error}; "
+                "or plan for this pose, too, and for no more than twenty poses at a time"
+            ) from error
+        if level < 0:
             raise error
         self.choice = replace(self.choice, level=level, finest=level, is_due=True)
         return replace(self.resolution, check=True)

@@ -186,6 +186,19 @@ def test_planned_samples_fit_in_all_planned_pings(monkeypatch):
     assert {ping.error_estimate for ping in pings} == {plan.bound}
 
 
+@pytest.mark.parametrize("way", ["ping", "pings"])
+def test_planned_samples_that_do_not_fit_at_another_pose_are_an_error_that_names_the_plan(monkeypatch, way):
+    monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 2000)
+    ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
+    with sg.Simulator(ball, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
+        plan = simulator.plan([sg.pose(0)])
+        with pytest.raises(
+            SampleLimitError, match=r"planned samples must fit .* no more than 2000 .* plan for this"
+        ):
+            simulator.ping(sg.pose(8)) if way == "ping" else list(simulator.pings([sg.pose(8)]))
+        assert simulator.ping(sg.pose(0)).error_estimate == plan.bound  # it goes on as planned
+
+
 def test_given_samples_that_do_not_fit_are_an_error(monkeypatch):
     monkeypatch.setattr("sonar_gl.engine.run.MAX_SAMPLES", 600)
     ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(2))])
