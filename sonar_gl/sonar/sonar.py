@@ -592,7 +592,9 @@ def _presets() -> dict[str, Sonar]:
 
 def _read_tables(path: Path) -> dict[str, dict]:
     """Return the tables of a file by name; top-level keys are one table, named after the file."""
-    data = read_toml(path, "the sonar's file")
+    other_kind = path.suffix.lower() != ".toml"
+    hint = "a sonar is a preset's name, such as p900-45, or a .toml file" if other_kind else ""
+    data = read_toml(path, "the sonar's file", hint)
     tables = {key: value for key, value in data.items() if isinstance(value, dict) and key != "counts"}
     if not data:
         raise Error(f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})")
