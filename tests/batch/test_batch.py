@@ -1668,6 +1668,7 @@ BAD = [
         "noise.preset must be one of none",
     ),
     ('scenes = ["tank.sdf"]', 'scenes = ["tonk.sdf"]', "scenes[0]: "),
+    ('scenes = ["tank.sdf"]', 'scenes = "tank.sdf"', """(got 'tank.sdf'; write ["tank.sdf"])"""),
     ('scenes = ["tank.sdf"]', "", "scenes must be given"),
     ("seed = 5", "seed = = 5", "the job file must be TOML ("),
 ]
