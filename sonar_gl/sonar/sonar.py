@@ -230,10 +230,18 @@ class Sonar:
             )
         if self.beam_azimuths_deg is not None:
             azimuths = frozen_array(
-                self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{location}: beam_azimuths_deg"
+                self.beam_azimuths_deg,
+                np.float64,
+                (self.n_beams,),
+                f"{location}: beam_azimuths_deg",
+                "give one azimuth for each of the n_beams beams, or none for even ones",
             )
-            if (np.diff(azimuths) <= 0).any():
-                raise Error(f"{location}: beam_azimuths_deg must rise (starboard first, positive to port)")
+            if (steps := np.diff(azimuths) <= 0).any():
+                k = int(steps.argmax())
+                raise Error(
+                    f"{location}: beam_azimuths_deg must rise (got {azimuths[k + 1]:g} after {azimuths[k]:g}; give "
+                    "starboard first, positive to port)"
+                )
             if np.abs(azimuths).max() > self.azimuth_fov_deg / 2:
                 raise Error(
                     f"{location}: beam_azimuths_deg must lie within ±azimuth_fov_deg/2 = "

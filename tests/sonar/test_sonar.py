@@ -299,11 +299,12 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         ),
         (
             {"beam_azimuths_deg": [1, 2]},
-            "sonar 'a': beam_azimuths_deg must have shape (256) (got (2,))",
+            "sonar 'a': beam_azimuths_deg must have shape (256) (got (2,); give one azimuth for each of the n_beams "
+            "beams, or none for even ones)",
         ),
         (
             {"n_beams": 2, "beam_azimuths_deg": [2, 1]},
-            "sonar 'a': beam_azimuths_deg must rise (starboard first, positive to port)",
+            "sonar 'a': beam_azimuths_deg must rise (got 1 after 2; give starboard first, positive to port)",
         ),
         (
             {"receive_taper": "'hann'"},
