@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sonar_gl.core.checks import check_kind
+from sonar_gl.core.errors import Error
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 
 if TYPE_CHECKING:  # Acoustics loads Numba, for which commands that only list things would wait
@@ -87,6 +88,11 @@ class Ping:
         `speckle_shape` ν, the sum of their echoes over √ν; likewise
     volume : (B, K) float32 or None, the part of `intensity` that the water returns, where it has few scatterers
         (`Water.scatterer_density_m3`): speckle shows them one by one. Only in pings without noise
+
+    Raises
+    ------
+    Error
+        if `intensity` is an array of another shape than (beams, bins), the lengths of `azimuth_rad` and `range_m`.
     """
 
     intensity: np.ndarray
@@ -107,6 +113,17 @@ class Ping:
     coherent: np.ndarray | None = None
     texture_deviation: np.ndarray | None = None
     volume: np.ndarray | None = None
+
+    def __post_init__(self):
+        """Refuse an intensity that does not fit the axes; what is no array is refused where it is used."""
+        arrays = self.azimuth_rad, self.range_m, self.intensity
+        azimuths, ranges, got = (getattr(array, "shape", ()) for array in arrays)
+        if len(azimuths) == len(ranges) == 1 and got and got != (wanted := azimuths + ranges):
+            cure = "; give its transpose, intensity.T" if got == wanted[::-1] else ""
+            raise Error(
+                f"a ping's intensity must be (beams, bins) = {wanted}, as long as azimuth_rad and range_m "
+                f"(got {got}{cure})"
+            )
 
     def __repr__(self):
         shape = np.shape(self.intensity)

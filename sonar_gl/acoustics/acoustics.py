@@ -198,19 +198,26 @@ class Acoustics:
         return super().__new__(cls)
 
     @classmethod
-    def ideal(cls) -> Acoustics:
-        """Return the profile "ideal": the cosine law alone with box beams, the model that closed forms describe."""
-        return cls("ideal")
+    def ideal(cls, **settings) -> Acoustics:
+        """Return the profile "ideal": the cosine law alone with box beams, the model that closed forms describe.
+
+        Settings are the fields, by name, and change it.
+
+        >>> Acoustics.ideal(water=Water(temperature_c=4.0)) == Acoustics("ideal", water=Water(temperature_c=4.0))
+        True
+        """
+        return cls("ideal", **settings)
 
     @classmethod
-    def demarco2015(cls, range_law: str = "printed") -> Acoustics:
+    def demarco2015(cls, range_law: str = "printed", **settings) -> Acoustics:
         """Return the profile "demarco2015": the model of DeMarco, West, Howard 2015.
 
         Parameters
         ----------
         range_law : "printed", eq. (4); "constant", as the published code reads; or "inverse"
+        settings : the other fields, by name
         """
-        return cls("demarco2015", range_law=range_law)
+        return cls("demarco2015", range_law=range_law, **settings)
 
     @classmethod
     def physical(cls, **settings) -> Acoustics:

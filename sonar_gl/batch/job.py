@@ -436,6 +436,8 @@ def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
         return f"{key_path(place)}: {text}"
     if error["type"] == "list_type" and isinstance(got, dict):
         cure = f"write [[{key_path(place)}]], since there may be several"
+    elif error["type"] == "list_type" and isinstance(got, str) and not cure:  # one name, of several
+        cure = f"write {json.dumps([got[:80]], ensure_ascii=False)}"
     got = f"a table of {', '.join(map(str, got))}" if isinstance(got, dict) else repr(got)[:80]
     return f"{key_path(place)}: {text} (got {got}{cure and '; '}{cure})"
 

@@ -517,13 +517,17 @@ class PartMaker:
         """Make a ping and report its warnings, but not that it has no echo, which the table says.
 
         That a tolerance is not met is said once for each scene and sonar: the estimates tell of which pings.
+        No warning names its ping, since in a sequence it may be one that is made ahead.
         """
         with collected_warnings() as found:
             ping = make()
+        place = f"{sonar} in {self._batch.requests.job.scenes[scene]}"
         for warning in found if ping.meta["has_echo"] else ():
+            text = f"warning: {place}: {warning.text}"
             if issubclass(warning.category, ToleranceWarning):
                 if (scene, sonar) in self._unmet:
                     continue
                 self._unmet.add((scene, sonar))
-            task.report("warning", warning.text)
+                text += "; this is said once, error_estimate of the arrays tells of each ping"
+            task.report("warning", text)
         return ping

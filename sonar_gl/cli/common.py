@@ -37,9 +37,11 @@ def scene_from(scene_name: str, options) -> Scene:
     if options.without:
         scene = scene.without(*options.without)
     if loaded.bodies and not scene.bodies:
+        n = len(loaded.bodies)
+        left_out = f"all {n} bodies" if n > 1 else f"{loaded.bodies[0].name!r}, the only body"
         raise Error(
-            f"--without and --only must leave a body (they leave out all {len(loaded.bodies)} bodies of scene "
-            f"{scene.name!r}; 'sonar-gl doctor --scene' lists them)"
+            f"--without and --only must leave a body (they leave out {left_out} of scene {scene.name!r}; "
+            "'sonar-gl doctor --scene' lists them)"
         )
     return scene if options.surface is None else scene.with_surface(options.surface)
 

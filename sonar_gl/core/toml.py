@@ -15,13 +15,14 @@ except ModuleNotFoundError:  # Python 3.10
 MAX_TOML_DEPTH = 32  # of tables and arrays, which the functions that take them apart may visit by recursion
 
 
-def read_toml(path: Path, what: str) -> dict:
+def read_toml(path: Path, what: str, hint: str = "") -> dict:
     """Return the contents of a TOML file.
 
     Parameters
     ----------
     path : file, in UTF-8, with or without the mark of byte order that editors on Windows put first
     what : what the file is, such as "the sonar's file"
+    hint : what to do instead, which ends the message about a file of another kind
 
     Raises
     ------
@@ -36,7 +37,7 @@ def read_toml(path: Path, what: str) -> dict:
     except RecursionError:
         raise _nesting_error(path, what) from None
     except ValueError as why:  # not TOML (the message names the line), or not UTF-8
-        raise Error(f"{path}: {what} must be TOML ({why})") from None
+        raise Error(f"{path}: {what} must be TOML ({why}{hint and f'; {hint}'})") from None
     if _is_deep(found):
         raise _nesting_error(path, what)
     return found

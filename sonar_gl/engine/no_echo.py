@@ -51,8 +51,9 @@ def why_no_echo(
     elevation = math.degrees(math.atan2(point[2], math.hypot(point[0], point[1])))
     return (
         f"no echo came back: no surface lies in the fan; the nearest is {name!r}, {_length(range_m)} away at "
-        f"azimuth {azimuth:.1f}° and elevation {elevation:.1f}° of the sonar, which sees "
-        f"±{sonar.azimuth_fov_deg / 2:g}° and ±{top_deg:.4g}°; turn or move the sonar" + _scale_hint(scene)
+        f"azimuth {azimuth:.1f}° and elevation {elevation:.1f}° of the sonar, which sees azimuths within "
+        f"±{sonar.azimuth_fov_deg / 2:g}° and elevations within ±{top_deg:.4g}°; turn or move the sonar"
+        + _scale_hint(scene)
     )
 
 

@@ -244,10 +244,18 @@ class Sonar:
     def _checked_azimuths_deg(self, location: str) -> tuple[float, ...]:
         """Return the table of azimuths as numbers; raise an `Error` unless they rise, within the fan."""
         azimuths = frozen_array(
-            self.beam_azimuths_deg, np.float64, (self.n_beams,), f"{location}: beam_azimuths_deg"
+            self.beam_azimuths_deg,
+            np.float64,
+            (self.n_beams,),
+            f"{location}: beam_azimuths_deg",
+            "give one azimuth for each of the n_beams beams, or none for even ones",
         )
-        if (np.diff(azimuths) <= 0).any():
-            raise Error(f"{location}: beam_azimuths_deg must rise (starboard first, positive to port)")
+        if (steps := np.diff(azimuths) <= 0).any():
+            k = int(steps.argmax())
+            raise Error(
+                f"{location}: beam_azimuths_deg must rise (got {azimuths[k + 1]:g} after {azimuths[k]:g}; give "
+                "starboard first, positive to port)"
+            )
         if np.abs(azimuths).max() > self.azimuth_fov_deg / 2:
             raise Error(
                 f"{location}: beam_azimuths_deg must lie within ±azimuth_fov_deg/2 = "
@@ -604,7 +612,9 @@ def _presets() -> dict[str, Sonar]:
 
 def _read_tables(path: Path) -> dict[str, dict]:
     """Return the tables of a file by name; top-level keys are one table, named after the file."""
-    data = read_toml(path, "the sonar's file")
+    other_kind = path.suffix.lower() != ".toml"
+    hint = "a sonar is a preset's name, such as p900-45, or a .toml file" if other_kind else ""
+    data = read_toml(path, "the sonar's file", hint)
     tables = {key: value for key, value in data.items() if isinstance(value, dict) and key != "counts"}
     if not data:
         raise Error(f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})")

@@ -51,6 +51,15 @@ def test_an_absorption_of_the_tvg_in_db_per_km_is_warned_of():
     assert [one.filename for one in caught] == [__file__]
 
 
+def test_profiles_take_fields_by_name():
+    """`Acoustics.ideal(water=...)` raised a bare TypeError, while `Acoustics.physical(water=...)` worked."""
+    cold = Water(temperature_c=4.0)
+    assert Acoustics.ideal(water=cold) == Acoustics("ideal", water=cold)
+    assert Acoustics.demarco2015("constant", water=cold) == Acoustics("demarco2015", "constant", water=cold)
+    with pytest.raises(Error, match="temperature_c describes the water"):
+        Acoustics.ideal(temperature_c=4.0)
+
+
 def test_range_gain_of_the_ideal_profile_is_one(sonar):
     assert (Acoustics.ideal().range_gain(sonar.range_m, sonar) == 1).all()
     assert Acoustics.ideal().range_gain(sonar.range_m, sonar).dtype == np.float64

@@ -405,6 +405,11 @@ def test_bodies_and_surface_by_options():
             f"error: --without and --only must leave a body (they leave out {everybody}; 'sonar-gl doctor --scene' "
             "lists them)\n",
         )
+    Path("one.sdf").write_text(f'<sdf version="1.9"><world name="one">{WALL}{SENSOR}</world></sdf>')
+    assert run("render", "one.sdf", "--without", "wall")[2] == (
+        "error: --without and --only must leave a body (they leave out 'wall', the only body of scene 'one'; "
+        "'sonar-gl doctor --scene' lists them)\n"
+    )
     assert run("doctor", "--scene", "diver", "--only", "diver::bubbles")[0] == 2
 
 

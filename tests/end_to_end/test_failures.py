@@ -115,7 +115,8 @@ def test_fine_bins(tolerance, seam):
         (
             [regimes.plate("wall", -5, 1)],
             "no surface lies in the fan; the nearest is 'wall', 5.00 m away at azimuth 180.0° and elevation "
-            "0.0° of the sonar, which sees ±30° and ±10°; turn or move the sonar",
+            "0.0° of the sonar, which sees azimuths within ±30° and elevations within ±10°; turn or move the "
+            "sonar",
         ),
     ],
     ids=["no bodies", "too far", "too near", "silent", "behind"],

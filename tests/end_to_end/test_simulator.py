@@ -382,7 +382,8 @@ def test_a_table_of_beams():
             (BOX,),
             sg.pose(0, 2, 5),
             "no echo came back: no surface lies in the fan; the nearest is 'box', 7.11 m away at "
-            "azimuth 0.0° and elevation -39.3° of the sonar, which sees ±30° and ±10°; turn or move the "
+            "azimuth 0.0° and elevation -39.3° of the sonar, which sees "
+            "azimuths within ±30° and elevations within ±10°; turn or move the "
             "sonar",
         ),
         (  # so weak that float32 has no number for its echo in a bin
@@ -394,20 +395,23 @@ def test_a_table_of_beams():
             (sg.Body("lid", trimesh.creation.box((0.1, 0.1, 0.1)), sg.pose(8, 0, 1.52)),),
             np.eye(4),
             "no echo came back: no surface lies in the fan; the nearest is 'lid', 8.08 m away at azimuth 0.0° and "
-            "elevation 10.5° of the sonar, which sees ±30° and ±10°; turn or move the sonar",
+            "elevation 10.5° of the sonar, which sees "
+            "azimuths within ±30° and elevations within ±10°; turn or move the sonar",
         ),
         (  # seen edge-on, from within the range to far beyond
             (sg.Body("plate", trimesh.Trimesh([[5, -1, 0], [5, 1, 0], [99, 0, 0]], [[0, 1, 2]])),),
             np.eye(4),
             "no echo came back: no surface lies in the fan; the nearest is 'plate', 5.00 m away at azimuth 0.0° and "
-            "elevation 0.0° of the sonar, which sees ±30° and ±10°; turn or move the sonar",
+            "elevation 0.0° of the sonar, which sees "
+            "azimuths within ±30° and elevations within ±10°; turn or move the sonar",
         ),
         *(
             (
                 (sg.Body("wall", trimesh.creation.box((1, 20, 100)), sg.pose(400.5, 0, side * 200)),),
                 np.eye(4),
                 "no echo came back: no surface lies in the fan; the nearest is 'wall', 427.20 m away at azimuth 0.0° "
-                f"and elevation {side * 20.6}° of the sonar, which sees ±30° and ±10°; turn or move the sonar",
+                f"and elevation {side * 20.6}° of the sonar, which sees "
+                "azimuths within ±30° and elevations within ±10°; turn or move the sonar",
             )
             for side in (1, -1)
         ),
@@ -466,7 +470,8 @@ def test_a_far_surface_beside_the_fan_is_in_its_direction():
         it.ping(sg.pose(yaw=math.pi / 2))
     assert [str(w.message) for w in caught] == [
         "no echo came back: no surface lies in the fan; the nearest is 'wall', 700.00 m away at azimuth -90.0° and "
-        "elevation 0.0° of the sonar, which sees ±30° and ±10°; turn or move the sonar"
+        "elevation 0.0° of the sonar, which sees "
+        "azimuths within ±30° and elevations within ±10°; turn or move the sonar"
     ]
 
 
@@ -507,7 +512,8 @@ ABOVE = (
 )
 BESIDE = (
     "no echo came back: no surface lies in the fan; the nearest is 'post', 9.97 m away at azimuth -106.6° and "
-    "elevation 1.4° of the sonar, which sees ±30° and ±10°; turn or move the sonar"
+    "elevation 1.4° of the sonar, which sees "
+    "azimuths within ±30° and elevations within ±10°; turn or move the sonar"
 )
 
 
@@ -590,7 +596,8 @@ def test_of_several_bodies_the_nearest_that_is_there_is_named(order, pose):
         it.ping(pose, bodies={"gone": None})
     assert [str(w.message) for w in caught] == [
         "no echo came back: no surface lies in the fan; the nearest is 'near', 5.00 m away at azimuth 180.0° and "
-        "elevation 0.0° of the sonar, which sees ±30° and ±10°; turn or move the sonar"
+        "elevation 0.0° of the sonar, which sees "
+        "azimuths within ±30° and elevations within ±10°; turn or move the sonar"
     ]
 
 
@@ -987,6 +994,17 @@ def test_the_repr_of_a_ping_is_one_short_line():
     assert repr(ping) == f"<Ping of 4 beams x 30 bins, sonar 'test', by {renderer}>"
     assert repr(sg.Ping(ping.intensity, ping.azimuth_rad, ping.range_m)) == "<Ping of 4 beams x 30 bins>"
     assert repr(sg.Ping(None, None, None)) == "<Ping of shape ()>"
+
+
+@pytest.mark.parametrize(("got", "cure"), [((20, 8), "; give its transpose, intensity.T"), ((8, 19), "")])
+def test_an_intensity_that_does_not_fit_is_refused_where_the_ping_is_made(got, cure):
+    """Swapped axes were an error of the first picture or file, or none at all, as of `counts`."""
+    with pytest.raises(sg.Error) as caught:
+        sg.Ping(np.zeros(got), np.linspace(-0.3, 0.3, 8), np.linspace(1.0, 5.0, 20))
+    assert str(caught.value) == (
+        "a ping's intensity must be (beams, bins) = (8, 20), as long as azimuth_rad and range_m "
+        f"(got {got}{cure})"
+    )
 
 
 def test_the_repr_of_a_simulator_and_of_what_it_shows_is_short():

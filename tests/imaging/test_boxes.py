@@ -270,7 +270,7 @@ def test_noise_does_not_change_boxes_if_the_quiet_ping_is_given():
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     np.testing.assert_array_equal(body_map(noisy, 300, quiet), body_map(quiet, 300))
     with pytest.raises(sg.Error, match=r"must have the shape of the noisy one, \(256, \d+\) \(got \(2, 3\)"):
-        boxes_of(noisy, 300, replace(quiet, intensity=np.zeros((2, 3))))
+        boxes_of(noisy, 300, fan_ping(n_beams=2, n_bins=3))
 
 
 @pytest.mark.parametrize("function", [boxes_of, body_map])

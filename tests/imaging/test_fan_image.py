@@ -326,11 +326,17 @@ def test_wrong_arguments(keywords, message):
 
 
 def test_arrays_that_do_not_match():
+    """Of lists, which are refused here, and of what has no bins; arrays are refused where the ping is made."""
     with pytest.raises(Error) as caught:
-        fan_image(Ping(np.zeros((3, 4)), np.zeros(3), np.zeros(5)))
+        fan_image(Ping(np.zeros((3, 4)), np.zeros(3), list(range(5))))
+    assert str(caught.value) == (
+        "a ping's range_m must be an array of numbers (got [0, 1, 2, 3, 4]; numpy.array makes one)"
+    )
+    with pytest.raises(Error) as caught:
+        fan_image(Ping(np.zeros((3, 0)), np.zeros(3), np.zeros(0)))
     assert str(caught.value) == (
         "a ping's intensity must be (beams, bins), at least one of each "
-        "(got (3, 4) with 3 azimuths and 5 ranges)"
+        "(got (3, 0) with 3 azimuths and 0 ranges)"
     )
 
 

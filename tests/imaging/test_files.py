@@ -205,7 +205,7 @@ def test_npz_takes_numpy_and_paths_in_meta(tmp_path):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"intensity": np.zeros((4, 7))}, "intensity must be (beams, bins) = (5, 7) (got (4, 7))"),
+        ({"intensity": np.zeros((4, 7)).tolist()}, "intensity must be (beams, bins) = (5, 7) (got (4, 7))"),
         ({"intensity": None}, "intensity of the ping must be numbers (got None)"),
         ({"range_m": "abc"}, "range_m of the ping must be numbers (got 'abc')"),
         ({"pose": np.eye(3)}, "pose must be of shape (4, 4) (got shape (3, 3))"),

@@ -253,6 +253,12 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
     assert error_of(load_sonar, path).startswith(
         f"{path}: the sonar's file must be TOML ('utf-8' codec can't"
     )
+    table = tmp_path / "mine.csv"  # a file of poses in the wrong place
+    table.write_text("t,x,y,z\n")
+    assert error_of(load_sonar, table) == (
+        f"{table}: the sonar's file must be TOML (Expected '=' after a key in a key/value pair (at line 1, column 2); "
+        "a sonar is a preset's name, such as p900-45, or a .toml file)"
+    )
     path.write_text("# nothing\n")
     assert error_of(load_sonar, path) == (
         f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})"
@@ -293,11 +299,12 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         ),
         (
             {"beam_azimuths_deg": [1, 2]},
-            "sonar 'a': beam_azimuths_deg must have shape (256) (got (2,))",
+            "sonar 'a': beam_azimuths_deg must have shape (256) (got (2,); give one azimuth for each of the n_beams "
+            "beams, or none for even ones)",
         ),
         (
             {"n_beams": 2, "beam_azimuths_deg": [2, 1]},
-            "sonar 'a': beam_azimuths_deg must rise (starboard first, positive to port)",
+            "sonar 'a': beam_azimuths_deg must rise (got 1 after 2; give starboard first, positive to port)",
         ),
         (
             {"receive_taper": "'hann'"},
