@@ -317,9 +317,7 @@ MUTATIONS = (
     Mutation(
         "cones/parts below the horizon", "(enters > 0) & (below_low < below_high)", "(enters < 0)", CONES
     ),
-    Mutation(
-        "cones/mirrored columns", "self.fan.are_cones, half) for column", "False, half) for column", CONES
-    ),
+    Mutation("cones/mirrored columns", "*rest, self.fan.are_cones))", "*rest, False))", CONES),
     Mutation("cones/point scatterers", "np.sin(ahead[:, 0]) * level", "np.sin(ahead[:, 0])", CONES),
     Mutation(
         "footprints/columns into beams",
