@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from scipy.signal.windows import chebwin
 
 import sonar_gl as sg
 from sonar_gl.acoustics.beam_pattern import (
@@ -108,6 +107,9 @@ def test_hamming_taper_against_a_sum_over_elements():
 @pytest.mark.parametrize(("side_lobe_db", "width", "loss_db"), [(30.0, 1.0671, -0.63), (40.0, 1.2113, -1.03)])
 def test_chebyshev_arrays_have_equal_side_lobes_and_textbook_values(side_lobe_db, width, loss_db):
     """102 elements."""
+    # here, since each process of tests would take a while for it
+    from scipy.signal.windows import chebwin
+
     pattern = chebyshev_pattern(X, 102, side_lobe_db)
     assert pattern[0] == pytest.approx(1.0, rel=1e-12)
     # where the Chebyshev polynomial of degree 101 has fallen to √½ of its peak

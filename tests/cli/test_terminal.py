@@ -22,7 +22,7 @@ QUICK = ("--sonar", "small.toml", "--tolerance", 0.1)
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch, timed_once):
+def folder(tmp_path, monkeypatch, timed_once, few_first_rays):
     """A folder with a scene whose wall has an evil name, a small sonar, and two poses; the working directory."""
     monkeypatch.chdir(tmp_path)
     wall = re.sub(r'(<model name=)"[^"]*"', rf'\1"{EVIL}"', WALL)

@@ -19,7 +19,7 @@ from sonar_gl.core.compiled import (
     sources_of,
 )
 from sonar_gl.core.errors import Error
-from tests.support.processes import HOME, python
+from tests.support.processes import python
 
 
 @pytest.mark.parametrize(
@@ -133,42 +133,64 @@ def add_twice(x):
     return add(add(x))
 """,
 }
-RUN = """
-from kernels.outer import add_twice
-print(add_twice(1), sum(add_twice.stats.cache_hits.values()))
+# Each run imports the package in a process of its own, forked once Numba has loaded what it needs for any function.
+RUN_TWICE = """
+import os, shutil, sys
+import numba
+import sonar_gl.core.compiled
+numba.njit(lambda x: x)(1)
+place, path, *states = sys.argv[1:]
+for state in states:
+    if os.path.isdir(place):
+        shutil.rmtree(place)
+    os.replace(state, place)
+    for _ in range(2):
+        if os.fork() == 0:
+            sys.path.insert(0, path)
+            from kernels.outer import add_twice
+            print(add_twice(1), sum(add_twice.stats.cache_hits.values()), flush=True)
+            os._exit(0)
+        assert os.wait()[1] == 0
 """
+
+
+def run_twice(place, path, states, **environment):
+    """Return results and hits of the cache, of two runs of each state of a package, which is moved to a place."""
+    out = python("-c", RUN_TWICE, place, path, *states, environment=environment, check=True).stdout
+    return [tuple(map(int, line.split())) for line in out.splitlines()]
 
 
 def test_machine_code_is_outdated_by_any_file_of_its_package(tmp_path):
     """Numba knows the file of the function alone: it would run with what it calls as that was before."""
 
-    def run(**changed):
-        package = tmp_path / "kernels"
-        package.mkdir(exist_ok=True)
+    def package(state, **changed):
+        folder = tmp_path / state
+        folder.mkdir()
         for name, text in {**SOURCES, **changed}.items():
-            (package / f"{name}.py").write_text(text)
-            os.utime(package / f"{name}.py", (1e9, 1e9))  # as of an archive whose files all have one time
-        path = os.pathsep.join([str(tmp_path), HOME])
-        environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path}
-        value, hits = map(int, python("-c", RUN, environment=environment, check=True).stdout.split())
-        return value, hits
+            (folder / f"{name}.py").write_text(text)
+            os.utime(folder / f"{name}.py", (1e9, 1e9))  # as of an archive whose files all have one time
+        return folder
 
-    assert [run(), run()] == [(3, 0), (3, 1)]
     other_function = SOURCES["inner"].replace("x + STEP", "x + 2 * STEP")
-    assert [run(inner=other_function), run(inner=other_function)] == [(5, 0), (5, 1)]
-    assert [run(constants="STEP = 10"), run(constants="STEP = 10")] == [(21, 0), (21, 1)]
+    states = (
+        package("first"),
+        package("function", inner=other_function),
+        package("constant", constants="STEP = 10"),
+    )
+    found = run_twice(tmp_path / "kernels", tmp_path, states, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert found == [(3, 0), (3, 1), (5, 0), (5, 1), (21, 0), (21, 1)]
 
 
 def test_machine_code_of_a_package_in_an_archive_is_outdated_by_the_archive(tmp_path):
-    def run(**changed):
-        with zipfile.ZipFile(tmp_path / "program.zip", "w") as archive:
+    def package(state, **changed):
+        with zipfile.ZipFile(tmp_path / state, "w") as archive:
             for name, text in {**SOURCES, **changed}.items():
                 archive.writestr(f"kernels/{name}.py", text)
-        path = os.pathsep.join([str(tmp_path / "program.zip"), HOME])
-        environment = {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": path}
-        return int(python("-c", RUN, environment=environment, check=True).stdout.split()[0])
+        return tmp_path / state
 
-    assert [run(), run(), run(constants="STEP = 10")] == [3, 3, 21]
+    program, states = tmp_path / "program.zip", (package("first"), package("constant", constants="STEP = 10"))
+    found = run_twice(program, program, states, XDG_CACHE_HOME=str(tmp_path))
+    assert [value for value, _ in found] == [3, 3, 21, 21]
 
 
 def test_sources_of_a_function_are_its_file_or_its_package(tmp_path):

@@ -63,8 +63,9 @@ def test_a_tilted_head_sees_what_a_level_one_sees_at_its_pose(engine):
             )
         moving = tilted.ping(POSES[0], velocity=VELOCITY)
         assert moving.meta["velocity"] == VELOCITY.tolist()  # of the housing, as it was given
-        several = tilted.pings(POSES, **settings), level.pings([pose @ TILT for pose in POSES], **settings)
-        for pose, *pings in zip(POSES, *several, strict=True):
+        path = POSES[2:]
+        several = tilted.pings(path, **settings), level.pings([pose @ TILT for pose in path], **settings)
+        for pose, *pings in zip(path, *several, strict=True):
             check_same(*pings, pose)
         for one, other in zip(tilted.gbuffers(POSES[0]), level.gbuffers(POSES[0] @ TILT), strict=True):
             for name in vars(one):

@@ -61,11 +61,11 @@ def browser(page):
 
 @contextmanager
 def telling(client):
-    """Repeat a browser's state four times a second, as page.js does."""
+    """Repeat a browser's state as page.js does, but more often, since the page shows what came before one."""
     is_over = threading.Event()
 
     def tell():
-        while not is_over.wait(0.25):
+        while not is_over.wait(0.05):  # there 0.25
             client.tell()
 
     thread = threading.Thread(target=tell, daemon=True)
