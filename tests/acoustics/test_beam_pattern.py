@@ -294,11 +294,12 @@ def test_a_tapered_array_receives_nothing_through_its_side_lobes():
         SONAR, n_beams=3, azimuth_fov_deg=3.0, elevation_pattern="line_array", elevation_taper="hamming"
     )
     acoustics = replace(acoustics, beam_pattern="box")
-    with pytest.warns(UserWarning, match=r"sees ±1\.5° and ±45\.1\d?°"):
+    with pytest.warns(UserWarning, match=r"azimuths within ±1\.5° and elevations within ±45\.1\d?°"):
         dark = ping([chip(0.0, 50.0)], acoustics, sonar)
     assert dark.intensity.sum() == 0
     assert ping([chip(0.0, 40.0, 1.0)], acoustics, sonar).intensity.sum() > 0
-    with pytest.warns(UserWarning, match=r"sees ±1\.5° and ±89\.5°"):  # more than any aperture
+    # more than any aperture
+    with pytest.warns(UserWarning, match=r"azimuths within ±1\.5° and elevations within ±89\.5°"):
         ping([chip(90.0, 0.0)], acoustics, replace(sonar, elevation_taper="uniform"))
 
 

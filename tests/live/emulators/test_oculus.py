@@ -235,9 +235,7 @@ def test_attitude_is_that_of_the_housing_by_the_signs_that_the_documentation_sta
     pose = sg.pose(roll=0.3, pitch=-0.2, yaw=-(np.pi / 2 - 0.1))
     assert pose[2, 0] > 0 > pose[2, :3] @ [0, -1, 0]  # bow up, starboard down
     sonar = sg.load_sonar("oculus-m1200d-hf,n_beams=8,tilt_deg=10")
-    ping = replace(
-        fan_ping(), sonar=sonar, acoustics=sg.Acoustics.physical(), pose=pose, range_m=np.array([1.0])
-    )
+    ping = replace(fan_ping(), sonar=sonar, acoustics=sg.Acoustics.physical(), pose=pose)
     fire = FireMessage(2, HIGH, 0, 127, METRES, 5.0, 50.0, 0.0, b"")
     found = oculus.oculus_result(ping, fire, 0.0, 0)
     assert (found.heading_deg, found.pitch_deg, found.roll_deg) == pytest.approx(
