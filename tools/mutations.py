@@ -969,7 +969,7 @@ MUTATIONS = (
     Mutation(
         "planner/a plan that is not met",
         "met=all(plan.met for plan in plans)",
-        "met=all(plan.met for plan in finest)",
+        "met=any(plan.met for plan in plans)",
         LEVEL_SEARCH,
     ),
     Mutation(

@@ -18,6 +18,7 @@ from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import adaptive, error_model, visibility
 from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.instrument import Instrument
+from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.multipath import COARSEST, ImageSources
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
@@ -391,6 +392,10 @@ class TestMoving:
             assert (sampler.choice, sampler.history) == (before, history)
             ended = sampler.history_with_apart(setup)
             assert (ended.n_pings, ended.last, ended.costs) == (history.n_pings + 1, setup, ())
+            assert not sampler.is_check_due(sampler.history_with(setup))
+            sampler.history = ended  # the next one is checked, in whatever place
+            assert sampler.is_check_due(sampler.history_with(setup))
+            sampler.history = history
             sampler.follow(setup, plan, 7.0, history.n_pings - 1)  # later ones were added meanwhile
             assert sampler.history is history
             assert (sampler.choice.level, sampler.choice.finest) == (plan.level, FINEST_LEVEL)
@@ -402,6 +407,13 @@ class TestMoving:
                     sampler.follow(setup, unmet, 7.0, n_pings)
                 assert sampler.history == (n_pings, setup, (plan.n_samples + adaptive.FIXED_SAMPLES,))
                 assert (sampler.choice.level, sampler.choice.finest) == (5, 5)
+
+    def test_no_ping_tries_what_did_not_fit_in_the_first(self, monkeypatch):
+        find = LevelSearch.find_coarsest
+        monkeypatch.setattr(LevelSearch, "find_coarsest", lambda *of: find(*of)._replace(finest=9))
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            assert simulator.run.sampler.choice.finest == 9
 
     def test_samples_that_do_not_fit_have_the_next_coarser_level_checked(self):
         """Down to the coarsest; planned ones stay."""
