@@ -1526,8 +1526,8 @@ def test_a_body_beside_the_fan_counts_as_far_as_its_beams_receive(reaches, is_co
     acoustics = sg.Acoustics.physical()
     angle = math.radians(SONAR.azimuth_fov_deg / 2) + reaches * acoustics.receive_support_rad(SONAR)
     place = sg.pose(6 * math.cos(angle), 6 * math.sin(angle))
-    rod = sg.Body("rod", trimesh.creation.box((0.01, 0.01, 1.0)), place)
-    assert worst_beside_near(rod, 1, 0.0, acoustics) == (2 if is_counted else 1)
+    cube = sg.Body("cube", trimesh.creation.box((0.1, 0.1, 0.1)), place)
+    assert worst_beside_near(cube, 1, 0.0, acoustics) == (2 if is_counted else 1)
 
 
 def test_the_bound_of_a_plan_is_above_the_tolerance_if_it_is_not_met():
