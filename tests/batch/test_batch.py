@@ -686,8 +686,8 @@ def test_parts_in_any_order_by_any_process_have_the_same_bytes(hard, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_set_of_scenes_with_poses_and_variants_of_their_own_has_the_same_bytes(tmp_path):
-    """In any order of parts, of several scenes each, and ping by ping."""
+def test_a_set_of_scenes_with_poses_and_variants_of_their_own_has_the_same_bytes(tmp_path, monkeypatch):
+    """In any order of parts, of several scenes each, and ping by ping. Only the last scene stays open."""
     path = write_plain_job(tmp_path, 3, 4, "")
     text = path.read_text().replace('["tank.sdf"]', '["tank.sdf", "pool.sdf"]')
     (tmp_path / "pool.sdf").write_text((tmp_path / "tank.sdf").read_text().replace(BOX, ""))
@@ -699,8 +699,12 @@ def test_a_set_of_scenes_with_poses_and_variants_of_their_own_has_the_same_bytes
     assert [request.scene for request in batch.requests] == [1, 1, 1, 0, 0, 0, 1, 1, 1]
     begin(batch).save(batch.folder)
     create_store(batch)
+    made, real = [], parts.Simulator
+    monkeypatch.setattr(parts, "Simulator", lambda *of, **more: made.append(real(*of, **more)) or made[-1])
     for part in (2, 0, 1):
         make_part(batch, part, one_by_one=True)
+        assert [repr(one).endswith("closed>") for one in made] == [True] * (len(made) - 1) + [False]
+    assert len(made) == 3
     finalize(batch)
     batch.close()
     assert files_of(tmp_path / "one") == files_of(tmp_path / "other")
@@ -889,6 +893,27 @@ def test_a_part_without_a_single_ping_ends_the_batch(small, tmp_path, monkeypatc
         make_part(batch, 1)
     batch.close()
     assert not list((tmp_path / "out").glob("parts/*"))
+
+
+def test_pings_that_fail_for_reasons_of_their_own_or_alone_in_a_part_are_set_aside(tmp_path, monkeypatch):
+    """Only what several pings have in common ends the batch. A part may be made after the simulators were closed."""
+    batch, tries = open_batch(write_plain_job(tmp_path, 3, 2), tmp_path / "out"), []
+    begin(batch).save(batch.folder)
+    create_store(batch)
+
+    def failing(run, request):
+        tries.append(request.time_s)
+        raise RuntimeError(f"not at {request.time_s} s")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "resolve", failing)
+        records = [make_part(batch, part) for part in range(2)]
+    reasons = {str(k): f"RuntimeError: not at {0.2 * k} s" for k in range(3)}
+    assert {**records[0].set_aside, **records[1].set_aside} == reasons
+    assert tries == [0.0, 0.0, 0.0, 0.2, 0.2, 0.4, 0.4, 0.4]  # with others, and then twice by itself
+    batch.close()
+    assert make_part(batch, 1).set_aside == {}
+    batch.close()
 
 
 def test_a_part_replaces_its_damaged_files(small, tmp_path):
