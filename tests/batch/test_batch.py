@@ -866,8 +866,10 @@ def test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in(tmp_path
 )
 def test_what_the_machine_lacks_sets_no_ping_aside(small, tmp_path, monkeypatch, failure):
     """The part is made again where there is space; a ping that is set aside is lost. So also of pings made alone."""
+    tries = []
 
     def failing(*_):
+        tries.append(1)
         raise failure
 
     batch = open_batch(small / "job.toml", tmp_path / "out")
@@ -878,6 +880,7 @@ def test_what_the_machine_lacks_sets_no_ping_aside(small, tmp_path, monkeypatch,
         with pytest.raises(type(failure)):
             make_part(batch, 1, one_by_one=one_by_one)
     batch.close()
+    assert len(tries) == 2  # at once
     assert not list((tmp_path / "out").glob("parts/*"))
 
 
