@@ -841,7 +841,10 @@ def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, mon
 
 
 def test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in(tmp_path):
-    """Of four: both sonars see the wall, only the one of longer range does, none does, and one that is set aside."""
+    """Of four: both sonars see the wall, only the one of longer range does, none does, and one that is set aside.
+
+    No warning says so.
+    """
     path = write_job(tmp_path, 2, "")
     rows = "0,0,0,0,0,0,0", "1,-2.5,0,0,0,0,0", "2,0,0,50,0,0,0", "3,0,0,50,0,0,0"
     (tmp_path / "dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
@@ -850,8 +853,10 @@ def test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in(tmp_path
     batch = Batch(Job(**read_job(path).plain | changes), Folder(tmp_path / "out"))
     begin(batch).save(batch.folder)
     create_store(batch)
-    record = make_part(batch, 0, {3: "it kills"})
+    reports = []
+    record = make_part(batch, 0, {3: "it kills"}, report=lambda *report: reports.append(report))
     batch.close()
+    assert "finished" in (kinds := {kind for kind, _ in reports}) and "warning" not in kinds
     made = {
         name: xr.open_zarr(tmp_path / "out" / "pings.zarr", group=name, consolidated=False).intensity
         for name in batch.requests.sonars
