@@ -745,7 +745,7 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
     """
     path, now_s, made = write_job(tmp_path, 40, MORE.replace("[coco]\nheight = 100", "")), [0.0], []
     shutil.copy(tmp_path / "tank.sdf", tmp_path / "pool.sdf")
-    text = path.read_text().replace("pings_per_part = 4", "pings_per_part = 16")
+    text = path.read_text().replace("pings_per_part = 4", "pings_per_part = 12")
     path.write_text(text.replace('["tank.sdf"]', str(["tank.sdf", "pool.sdf"][:n_scenes])))
     if more:
         poses = text[text.index("[[poses]]") : text.index("[[vary.bodies]]")] + 'scenes = ["pool.sdf"]\n'
@@ -766,8 +766,8 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
     monkeypatch.setattr(parts.time, "perf_counter", lambda: now_s[0])
     cost = try_pings(batch)
     if n_scenes == 1:
-        expected = np.linspace(0, 39, 16).round().astype(int)
-    else:
+        expected = np.linspace(0, 39, 12).round().astype(int)
+    else:  # a chunk of each scene, more than half a part
         expected = np.linspace([0, 40], [39, 79 + more], 8).round().astype(int).T.ravel()
     assert cost.numbers == tuple(expected.tolist())
     assert all(made.count(number) == 4 for number in expected) and len(made) == 4 * len(expected)
@@ -818,11 +818,15 @@ def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
 
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
-    """One ping fails once, as when the device is short of memory; another fails each time."""
-    tries, real = [], Run.resolve
+    """One ping fails once, as when the device is short of memory; another fails each time.
+
+    Both sonars draw what one engine holds.
+    """
+    tries, engines, real = [], set(), Run.resolve
 
     def failing(run, request):
         tries.append(request.time_s)
+        engines.add(run.stages.engine)
         if request.time_s == 1.0 or (request.time_s == 1.2 and tries.count(1.2) == 1):
             raise RuntimeError("out of something")
         return real(run, request)
@@ -833,7 +837,7 @@ def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, mon
     monkeypatch.setattr(Run, "resolve", failing)
     record = make_part(batch, 1)
     batch.close()
-    assert record.set_aside == {"5": "RuntimeError: out of something"}
+    assert record.set_aside == {"5": "RuntimeError: out of something"} and len(engines) == 1
     made = xr.open_zarr(tmp_path / "out" / "pings.zarr", group="level", consolidated=False).intensity
     expected = xr.open_dataset(small / "out" / "pings.zarr", group="level").intensity
     assert (made[5] == 0).all()
@@ -908,6 +912,8 @@ def test_pings_that_fail_for_reasons_of_their_own_or_alone_in_a_part_are_set_asi
     batch, tries, tolerances = open_batch(write_plain_job(tmp_path, 3, 2), tmp_path / "out"), [], set()
     begin(batch).save(batch.folder)
     create_store(batch)
+    made, real = [], parts.Simulator
+    monkeypatch.setattr(parts, "Simulator", lambda *of, **more: made.append(real(*of, **more)) or made[-1])
 
     def failing(run, request):
         tries.append(request.time_s)
@@ -924,6 +930,7 @@ def test_pings_that_fail_for_reasons_of_their_own_or_alone_in_a_part_are_set_asi
     batch.close()
     assert make_part(batch, 1).set_aside == {}
     batch.close()
+    assert len(made) == 2 and all(repr(one).endswith("closed>") for one in made)
 
 
 def test_a_part_replaces_its_damaged_files(small, tmp_path):
