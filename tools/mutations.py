@@ -90,6 +90,11 @@ BETWEEN_BOXES = "test_adaptive::test_a_body_between_boxes_changes_neither_sample
 RECEIVED_SAMPLES = "test_adaptive::test_samples_between_boxes_are_those_that_no_beam_receives"
 ENDS_EARLY = "test_sequence::test_an_iterator_that_ends_before_the_poses_is_an_error_after_the_pings_before"
 CHANGED_MESH = "test_moving_bodies::test_a_mesh_that_was_changed_in_place_is_added_with_its_new_shape"
+WEIGHED = "test_adaptive::test_what_a_view_shows_of_bodies_is_weighed_by_their_kind"
+COUNTED = "test_adaptive::test_a_body_counts_if_its_echo_is_strong_or_is_not_known"
+BESIDE_FAN = "test_adaptive::test_a_body_beside_the_fan_counts_as_far_as_its_beams_receive"
+MOVED_LEVEL = "test_adaptive::TestMoving::test_a_check_moves_the_level_as_far_as_there_are_samples"
+AFTER_ONE_ALONE = "test_adaptive::TestMoving::test_the_next_pings_follow_one_whose_samples_were_chosen_alone"
 CORNER = "test_adaptive::test_a_body_in_the_place_of_another_needs_no_finer_samples"
 
 MUTATIONS = (
@@ -967,26 +972,44 @@ MUTATIONS = (
     Mutation(
         "planner/a plan that is not met",
         "met=all(plan.met for plan in plans)",
-        "met=all(plan.met for plan in finest)",
+        "met=any(plan.met for plan in plans)",
         LEVEL_SEARCH,
     ),
     Mutation(
         "planner/samples that fit again",
         "finest = self.search.finest self._stages.drop_large()",
         "self._stages.drop_large()",
-        ADAPTIVE,
+        (MOVED_LEVEL,),
     ),
     Mutation(
         "planner/samples that do not fit alone",
         "self.search.finest if plan.met else plan.level",
         "self.search.finest",
-        ADAPTIVE,
+        (AFTER_ONE_ALONE,),
     ),
     Mutation(
         "planner/costs of another place",
         "costs = (float(plan.n_samples + FIXED_SAMPLES),)",
         "costs = *history.costs, float(plan.n_samples + FIXED_SAMPLES)",
-        ADAPTIVE,
+        (AFTER_ONE_ALONE,),
+    ),
+    Mutation(
+        "planner/samples on the glint of a round body",
+        "found.samples * shares, found.echo",
+        "found.samples, found.echo",
+        (WEIGHED,),
+    ),
+    Mutation(
+        "planner/bodies that move",
+        "one, state.poses[body - 1], pose, reception, setup",
+        "one, one.pose, pose, reception, setup",
+        (COUNTED,),
+    ),
+    Mutation(
+        "planner/bodies beside the fan",
+        "return reception_of(stage.beamformer, self._reach_rad",
+        "return reception_of(stage.beamformer, 0.0",
+        (BESIDE_FAN,),
     ),
     Mutation(
         "planner/image sources of the hardest pose",

@@ -278,7 +278,7 @@ class AdaptiveSampling:
         """Return whether a ping asks to be sampled by itself, or lies far from the last one."""
         if setup.request.alone:
             return True
-        if self.choice.last_check is None or self.choice.is_planned:
+        if self.choice.last_check is None:  # as of the first ping, and of planned samples
             return False
         return self._trigger.is_far(self.history.last, setup)
 

@@ -145,7 +145,7 @@ class LevelSearch:
                     raise
                 finest = level - 1
                 kept = min(kept, level)
-                level = max(level - 1, failed)
+                level -= 1
                 continue
             # not of the last level that is tried, which may be coarser
             found[level], steps = (judged.plan, tried.echo.total), judged.steps

@@ -205,6 +205,16 @@ def test_files_that_belong_to_no_part_are_mended(made, out):
     assert_mended(made, out)
 
 
+def test_each_file_has_its_checksum_in_one_record(made):
+    """Those of parts in theirs, so that the end of a batch need not read them."""
+    out = made / "out"
+    records = [json.loads(path.read_text()) for path in (out / "parts").glob("*.json")]
+    records.append(json.loads((out / DONE).read_text()))
+    named = [name for record in records for name in record["files"]]
+    without = {BEGUN, DONE} | {f"parts/{path.name}" for path in (out / "parts").glob("*.json")}
+    assert sorted([*named, *without]) == sorted(files_of(out))
+
+
 def test_paths_that_are_no_utf8_come_back_from_records(tmp_path):
     """The job file of a batch may lie in such a folder, which ended with a UnicodeEncodeError."""
     folder, values = Folder(tmp_path), {"file": os.fsdecode(b"\xff/\xc3\xa4.toml")}

@@ -18,6 +18,7 @@ from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import adaptive, error_model, visibility
 from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.instrument import Instrument
+from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.multipath import COARSEST, ImageSources
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
@@ -391,6 +392,10 @@ class TestMoving:
             assert (sampler.choice, sampler.history) == (before, history)
             ended = sampler.history_with_apart(setup)
             assert (ended.n_pings, ended.last, ended.costs) == (history.n_pings + 1, setup, ())
+            assert not sampler.is_check_due(sampler.history_with(setup))
+            sampler.history = ended  # the next one is checked, in whatever place
+            assert sampler.is_check_due(sampler.history_with(setup))
+            sampler.history = history
             sampler.follow(setup, plan, 7.0, history.n_pings - 1)  # later ones were added meanwhile
             assert sampler.history is history
             assert (sampler.choice.level, sampler.choice.finest) == (plan.level, FINEST_LEVEL)
@@ -402,6 +407,13 @@ class TestMoving:
                     sampler.follow(setup, unmet, 7.0, n_pings)
                 assert sampler.history == (n_pings, setup, (plan.n_samples + adaptive.FIXED_SAMPLES,))
                 assert (sampler.choice.level, sampler.choice.finest) == (5, 5)
+
+    def test_no_ping_tries_what_did_not_fit_in_the_first(self, monkeypatch):
+        find = LevelSearch.find_coarsest
+        monkeypatch.setattr(LevelSearch, "find_coarsest", lambda *of: find(*of)._replace(finest=9))
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            assert simulator.run.sampler.choice.finest == 9
 
     def test_samples_that_do_not_fit_have_the_next_coarser_level_checked(self):
         """Down to the coarsest; planned ones stay."""
@@ -1431,6 +1443,7 @@ def test_the_error_of_a_body_is_judged_by_what_its_samples_show(
         ratio = fine.stage.sampling.count(SONAR) / coarse.sampling.count(SONAR)
     assert ratio == pytest.approx(2, rel=0.03)  # whole columns and rows
     plan = judged.plan
+    assert plan.n_samples == fine.stage.fan.n_samples
     of_strips = abs(taken - 1.0) / 6.0029
     assert plan.error_estimate == pytest.approx(1.86 * 0.01 / math.sqrt(1 + ratio**1.3) + of_strips, rel=1e-6)
     assert plan.worst_body_estimate == pytest.approx(error, rel=0.01)
@@ -1442,6 +1455,79 @@ def test_the_error_of_a_body_is_judged_by_what_its_samples_show(
     )
     assert judged.steps == min(math.ceil(4 * math.log2(narrower)), 8)
     assert plan.met == (judged.steps <= 0)
+
+
+def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
+    """Of a round mirror the samples of its glint count alone; unevenness is that of bodies with a value a face."""
+    made, box = trimesh.creation, trimesh.creation.box((1, 1, 1))
+    ball = sg.Body("ball", made.icosphere(4, 0.5), sg.pose(5, 1), 0.1, specular=0.5, roughness_rad=0.1)
+    bodies = [ball, sg.Body("striped", box, sg.pose(5, -1), np.linspace(0.1, 0.9, 12))]
+    met = BodyCounts(*(np.arange(1.0, 21.0).reshape(5, 4)))
+    monkeypatch.setattr(error_model, "count_bodies", lambda sectors, n_bodies, reception: met)
+    with sg.Simulator(sg.Scene(bodies), SONAR, replace(IDEAL, specular=True), tolerance=0.02) as simulator:
+        run = simulator.run
+        model = run.sampler.search.model
+        simulator.add(sg.Body("box", box, sg.pose(7)))
+        setup = run.set_up(PingRequest(np.eye(4)))
+        with run.drawing():
+            shown = model.draw(setup, 8)
+            louder = model.draw(replace(setup, gain=2 * setup.gain), 8)
+            silent = shown._replace(counts=BodyCounts(*np.zeros((5, 4)))._replace(samples=np.full(4, 1e3)))
+            judged = model.judge(setup, 8, silent, silent)
+    share = np.array([1.0, glint_share(ball.surface, 0.1), 1.0, 1.0])
+    assert share[1] < 0.2
+    expected = (
+        met.samples * share,
+        met.echo,
+        met.of_strips,
+        met.unevenness * [0, 0, 1, 0],
+        met.strands * share,
+    )
+    np.testing.assert_array_equal(shown.counts, expected)
+    assert louder.echo.total == pytest.approx(2 * shown.echo.total, rel=1e-5)
+    assert judged.steps < 0  # where none counts, as of bubbles alone, the whole decides
+
+
+FEW = visibility.MIN_BODY_SAMPLES
+NEAR = sg.Body("near", trimesh.creation.box((1, 1, 1)), sg.pose(5))
+
+
+def worst_beside_near(other, samples, share, acoustics=IDEAL, **request):
+    """Return the number of the worst body where the first is known well, and the second, which errs, by this much."""
+    with sg.Simulator(sg.Scene([NEAR, other]), SONAR, acoustics, tolerance=0.02) as simulator:
+        run = simulator.run
+        model, setup = run.sampler.search.model, run.set_up(PingRequest(np.eye(4), **request))
+        with run.drawing():
+            view = model.draw(setup, 8)
+            zeros, of_near, of_both = np.zeros(3), np.array([0, 0.01, 0]), 0.01 * np.array([0, 1, share])
+            met = BodyCounts(np.array([0, 1e6, samples]), of_both, of_both, zeros, zeros)
+            before = view._replace(counts=met._replace(echo=of_near))
+            return model.judge(setup, 8, view._replace(counts=met), before).plan.worst_body
+
+
+@pytest.mark.parametrize(
+    ("samples", "share", "counts"),
+    [(900, 0.00051, True), (900, 0.00049, False), (FEW - 1, 0.0, True), (FEW, 0.0, False)],
+    ids=["strong", "weak", "few samples", "enough samples"],
+)
+@pytest.mark.parametrize("place", ["beside", "behind"])
+def test_a_body_counts_if_its_echo_is_strong_or_is_not_known(samples, share, counts, place):
+    """From a two thousandth of the total on; or where few samples met it, and it is not hidden where it is now."""
+    places = {"beside": sg.pose(6, 3), "behind": sg.pose(8)}
+    now, (before,) = places.pop(place), places.values()
+    other = sg.Body("other", trimesh.creation.box((1, 1, 1)), before)
+    worst = worst_beside_near(other, samples, share, bodies={"other": now})
+    is_hidden = place == "behind" and share == 0
+    assert worst == (2 if counts and not is_hidden else 1)
+
+
+@pytest.mark.parametrize(("reaches", "is_counted"), [(0.9, True), (1.1, False)])
+def test_a_body_beside_the_fan_counts_as_far_as_its_beams_receive(reaches, is_counted):
+    acoustics = sg.Acoustics.physical()
+    angle = math.radians(SONAR.azimuth_fov_deg / 2) + reaches * acoustics.receive_support_rad(SONAR)
+    place = sg.pose(6 * math.cos(angle), 6 * math.sin(angle))
+    cube = sg.Body("cube", trimesh.creation.box((0.1, 0.1, 0.1)), place)
+    assert worst_beside_near(cube, 1, 0.0, acoustics) == (2 if is_counted else 1)
 
 
 def test_the_bound_of_a_plan_is_above_the_tolerance_if_it_is_not_met():

@@ -10,6 +10,7 @@ from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import level_search
 from sonar_gl.engine.error_model import Judgement
 from sonar_gl.engine.flow import Plan
+from sonar_gl.engine.stage import StageCache
 
 SONAR = sg.Sonar("search", 900e3, 16, 40, 45.0, 20.0, 3.0, 0.5, 20.0)
 MOST = 20  # levels that there are
@@ -90,6 +91,13 @@ def test_the_coarsest_level_that_keeps_the_tolerance_is_found_from_any_other(sea
                     assert len(model.tried) <= 4 + len(refused), case
                 else:  # or than the last estimate asked for
                     assert level == needed or model.tried[-1][1] == level > needed, case
+
+
+def test_memory_of_finer_samples_that_were_tried_is_given_back(search_with, monkeypatch):
+    dropped = []
+    monkeypatch.setattr(StageCache, "drop_large", lambda _: dropped.append(1))
+    search_with(Model([5], [MOST])).find_coarsest(0, 9)
+    assert dropped == [1]
 
 
 def test_the_coarsest_level_may_have_to_fit(search_with):

@@ -1,5 +1,6 @@
 """What a plan chooses for image sources: the finest samples that any of its poses needs, and the largest error."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,13 +20,22 @@ FOUND = [(3, None), (1, MultipathError(0.4, 10.0)), (2, MultipathError(0.3, 40.0
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3, 4), (2, 1, 0, 4, 3), (4, 3, 0, 1, 2)])
 def test_image_sources_have_the_samples_of_the_hardest_pose_in_any_order(monkeypatch, order):
-    """Each pose is looked at as if it were the first of all; a plan that is broken off leaves the one before."""
+    """Each pose is looked at as if it were the first of all, with the samples that were planned for what is in view.
+
+    A plan that is broken off leaves the one before.
+    """
     scene = sg.Scene([sg.Body("wall", trimesh.creation.box((1, 9, 9)), sg.pose(8))])
     with sg.Simulator(scene, SONAR, MULTIPATH) as simulator:
-        images, seen = simulator.run.image_sampling, []
-        monkeypatch.setattr(simulator.run.sampler, "fix", lambda setups: "plan")
+        sampler, images, seen = simulator.run.sampler, simulator.run.image_sampling, []
+
+        def fix(setups):
+            sampler.choice = replace(sampler.choice, planned=frozenset())
+            return "plan"
+
+        monkeypatch.setattr(sampler, "fix", fix)
 
         def sample(run, setup):
+            assert sampler.choice.is_planned
             seen.append((images.choice.is_new, images.choice.is_fixed, len(setup.state.present)))
             halvings, error = FOUND[order[round(setup.head_pose[0, 3])]]
             images.choice = images.choice._replace(halvings=halvings, error=error, is_new=False)
@@ -37,7 +47,7 @@ def test_image_sources_have_the_samples_of_the_hardest_pose_in_any_order(monkeyp
             assert simulator.plan([sg.pose(k) for k in range(5)]) == "plan"
             assert images.choice.is_fixed and images.choice.halvings == 1
             assert images.choice.error == MultipathError(0.3, 40.0)
-        before = images.choice
+        before = sampler.choice, images.choice
 
         def broken(run, setup):
             raise KeyboardInterrupt
@@ -45,7 +55,7 @@ def test_image_sources_have_the_samples_of_the_hardest_pose_in_any_order(monkeyp
         monkeypatch.setattr(planning, "sample", broken)
         with pytest.raises(KeyboardInterrupt):
             simulator.plan([np.eye(4)])
-        assert images.choice is before
+        assert sampler.choice is before[0] and images.choice is before[1]
     assert seen == [(True, False, 1)] * 10
 
 
