@@ -461,7 +461,7 @@ class PartMaker:
             {str(number): why for number, why in sorted(task.failed.items())},
             int(is_silent.sum()),
             {file: self.folder.checksum(file) for file in files},
-            None if self._system == manifest.system else asdict(self._system),
+            None if self._system in (None, manifest.system) else asdict(self._system),
         )
         record.save(self.folder)
         return record
