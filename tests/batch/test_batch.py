@@ -737,19 +737,21 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("n_scenes", "more"), [(1, 0), (2, 0), (2, 40)])
+@pytest.mark.parametrize(("n_scenes", "more"), [(1, 0), (2, 0), (2, 20)])
 def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monkeypatch, n_scenes, more):
     """By a clock that a ping n advances by n milliseconds, and a thousand times as much the first time.
 
-    more : further pings, of the second scene alone
+    more : further pings before them, of the second scene alone
     """
     path, now_s, made = write_job(tmp_path, 40, MORE.replace("[coco]\nheight = 100", "")), [0.0], []
     shutil.copy(tmp_path / "tank.sdf", tmp_path / "pool.sdf")
     text = path.read_text().replace("pings_per_part = 4", "pings_per_part = 12")
-    path.write_text(text.replace('["tank.sdf"]', str(["tank.sdf", "pool.sdf"][:n_scenes])))
+    text = text.replace('["tank.sdf"]', str(["tank.sdf", "pool.sdf"][:n_scenes]))
     if more:
-        poses = text[text.index("[[poses]]") : text.index("[[vary.bodies]]")] + 'scenes = ["pool.sdf"]\n'
-        path.write_text(path.read_text() + poses)
+        at = text.index("[[poses]]")
+        poses = text[at : text.index("[[vary.bodies]]")].replace("n_pings = 40", f"n_pings = {more}")
+        text = f'{text[:at]}{poses}scenes = ["pool.sdf"]\n{text[at:]}'
+    path.write_text(text)
     batch = open_batch(path, tmp_path / "out")
     number_at = {request.time_s: request.number for request in batch.requests}
     begin(batch).save(batch.folder)
@@ -765,13 +767,15 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
     monkeypatch.setattr(parts, "make_pings", timed)
     monkeypatch.setattr(parts.time, "perf_counter", lambda: now_s[0])
     cost = try_pings(batch)
-    if n_scenes == 1:
-        expected = np.linspace(0, 39, 12).round().astype(int)
-    else:  # a chunk of each scene, more than half a part
-        expected = np.linspace([0, 40], [39, 79 + more], 8).round().astype(int).T.ravel()
+    numbers = np.arange(more + 40 * n_scenes)
+    is_first = (numbers >= more) & (numbers < more + 40)
+    n_each = 12 if n_scenes == 1 else 8  # of two scenes a chunk of each, more than half a part
+    of_scenes = [numbers[is_first], numbers[~is_first]][:n_scenes]
+    expected = [one[np.linspace(0, len(one) - 1, n_each).round().astype(int)] for one in of_scenes]
+    expected = np.sort(np.concatenate(expected))
     assert cost.numbers == tuple(expected.tolist())
     assert all(made.count(number) == 4 for number in expected) and len(made) == 4 * len(expected)
-    weights = np.where(np.array(expected) < 40, 40, 40 + more)  # pings of each scene
+    weights = np.where(is_first[expected], 40, 40 + more)  # pings of each scene
     assert cost.seconds_per_ping == pytest.approx(1e-3 * np.average(expected, weights=weights), rel=1e-9)
     batch.close()
 
