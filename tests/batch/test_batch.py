@@ -840,6 +840,7 @@ def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
     found = xr.open_dataset(tmp_path / "out" / "pings.zarr")
     assert found.attrs["classes"] == ["fixed", "target", "behind"]
     bins = [(found.class_id == number).sum(("beam", "range")).values for number in (1, 2, 3)]
+    assert len(tried.numbers) == 2 * 4  # of each scene no more than a part has
     in_pool, in_tank = tried.seen
     assert (in_tank.scene, in_tank.sonar, in_tank.n_pings) == (1, "level", 8) and in_pool.scene == 0
     fixed, target = (one[8:] for one in bins[:2])

@@ -292,5 +292,17 @@ def test_numbers_of_pings_are_gathered_whatever_blocks_they_go_through(
         assert array.chunks == (min(block_pings, 22), 4, 4) and np.isnan(array.fill_value)
 
 
+@pytest.mark.parametrize("damage", [b"", b"half"])
+def test_a_damaged_table_of_a_part_is_named_with_its_cure(varied, tmp_path, damage):
+    folder, table, manifest = Folder(tmp_path), PingTable(varied), Manifest({}, "", 22, 22, None, {})
+    groups = {name: SonarGroup(sonar, [], {}) for name, sonar in varied.sonars.items()}
+    create_arrays(folder, manifest, groups, {})
+    folder.put(table_name(0), damage)
+    with pytest.raises(
+        sg.Error, match=r"must be the table of a part .it is damaged; delete parts/0000000.json,"
+    ):
+        gather_ping_variables(varied, table, manifest, folder)
+
+
 def _poses_alone(requests, table, sonar):
     return [one for one in ping_variables(requests, table, sonar) if one.name == "pose"]
