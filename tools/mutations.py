@@ -1755,17 +1755,17 @@ MUTATIONS = (
     ),
     Mutation(
         "warn/other categories",
-        "if issubclass(category, collection.category):",
-        "if True:",
+        "collection is not None and issubclass(category, collection.category)",
+        "collection is not None",
         WARN,
     ),
     Mutation(
         "warn/innermost block",
-        "(collection, *_collections.get())",
-        "(*_collections.get(), collection)",
+        "(ref(collection), *around)",
+        "(*around, ref(collection))",
         WARN,
     ),
-    Mutation("warn/end of a block", "_collections.reset(token)", "pass", WARN),
+    Mutation("warn/end of a block", "finally: _collections.set(around)", "finally: collection", WARN),
     Mutation(
         "warn/shown besides",
         "append(CollectedWarning(text, category))\n            return",

@@ -7,7 +7,9 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field
 from typing import NamedTuple
+from weakref import ref
 
 from sonar_gl.core.errors import escape_controls
 
@@ -22,13 +24,15 @@ class CollectedWarning(NamedTuple):
     category: type[Warning]
 
 
-class _Collection(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Collection:
     category: type[Warning]
-    found: list[CollectedWarning]
+    found: list[CollectedWarning] = field(default_factory=list)
 
 
-# of this thread, the innermost first
-_collections: ContextVar[tuple[_Collection, ...]] = ContextVar("collections of warnings", default=())
+# Of this thread, the innermost first. A block that an interrupt ends before it has restored those around it would
+# swallow all later warnings: the reference to its collection is dead then.
+_collections: ContextVar[tuple[ref[_Collection], ...]] = ContextVar("collections of warnings", default=())
 
 
 def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
@@ -38,8 +42,9 @@ def warn_caller(message: str, category: type[Warning] = UserWarning) -> None:
     Python shows a text once per line, it may show it again after MOST_TEXTS others.
     """
     text = escape_controls(message)
-    for collection in _collections.get():
-        if issubclass(category, collection.category):
+    for reference in _collections.get():
+        collection = reference()
+        if collection is not None and issubclass(category, collection.category):
             collection.found.append(CollectedWarning(text, category))
             return
     level, frame = 1, sys._getframe(0)
@@ -70,9 +75,9 @@ def collected_warnings(category: type[Warning] = UserWarning) -> Iterator[list[C
     >>> found[0].text
     'no echo came back'
     """
-    collection = _Collection(category, [])
-    token = _collections.set((collection, *_collections.get()))
+    collection, around = _Collection(category), _collections.get()
     try:
+        _collections.set((ref(collection), *around))
         yield collection.found
     finally:
-        _collections.reset(token)
+        _collections.set(around)

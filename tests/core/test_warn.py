@@ -1,11 +1,13 @@
 """Warnings that a thread keeps from being shown, and that other threads show all the same."""
 
+import contextlib
 import threading
 import warnings
 
 import pytest
 
 from sonar_gl.core.warn import MOST_TEXTS, collected_warnings, warn_caller
+from tests.support.interrupts import Interrupter
 from tests.support.waiting import WAIT_S
 
 
@@ -42,6 +44,23 @@ def test_a_block_that_fails_collects_no_more():
         raise KeyError
     with pytest.warns(UserWarning, match="after it"):
         warn_caller("after it")
+
+
+def collect(at):
+    """Collect a warning; return the places of sonar_gl on the way, of which the number `at` is interrupted."""
+    with contextlib.suppress(KeyboardInterrupt), Interrupter(at) as interrupter, collected_warnings():
+        warn_caller("inside")
+    return interrupter.places
+
+
+def test_a_block_that_is_interrupted_anywhere_collects_no_more():
+    """Also as it begins or ends: it would swallow all warnings of the process from then on."""
+    places = collect(None)
+    assert len(places) > 10
+    for at in range(len(places)):
+        collect(at)
+        with pytest.warns(UserWarning, match=f"after {at}"):
+            warn_caller(f"after {at}")
 
 
 def test_a_warning_names_the_line_of_the_caller():
