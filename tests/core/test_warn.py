@@ -1,6 +1,7 @@
 """Warnings that a thread keeps from being shown, and that other threads show all the same."""
 
 import contextlib
+import contextvars
 import threading
 import warnings
 
@@ -40,8 +41,13 @@ def test_the_innermost_block_of_a_category_collects_and_others_are_shown():
 
 
 def test_a_block_that_fails_collects_no_more():
-    with pytest.raises(KeyError), collected_warnings():
+    before = list(contextvars.copy_context().items())
+    with pytest.raises(KeyError), collected_warnings(), collected_warnings():
         raise KeyError
+    after = [(variable, value) for variable, value in contextvars.copy_context().items() if value != ()]
+    assert after == [
+        one for one in before if one[1] != ()
+    ]  # else each of millions would leave something behind
     with pytest.warns(UserWarning, match="after it"):
         warn_caller("after it")
 
