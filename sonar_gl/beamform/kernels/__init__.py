@@ -16,7 +16,7 @@
 | `body_sums` | labels: sums samples into columns and bins, for each body | `sum_bodies` |
 | `strongest` | labels: finds the strongest body of each bin of each beam | `find_strongest` |
 | `views` | finds what a view sees in some directions | `view_index`, `find_surfaces` |
-| `image_sources` | sums samples as a reflector returns them | `expect_imaged`, `sum_image_source` |
+| `image_sources` | sums what a reflector returns | `estimate_reflection`, `expect_imaged`, `sum_image_source` |
 
 Modules import from those above them alone. `sum_footprints` shows how they act together; sums of labels and of image
 sources take the same steps.
