@@ -31,7 +31,7 @@ from sonar_gl.beamform.weights import BeamWeights, beam_weights, elevations_of, 
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
+from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, fitted_sampling, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, sector_table, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, Strips
@@ -161,6 +161,14 @@ def make_beamformer(
 
     received = *workspace.weights(edges, weigh), design.elevation_pattern
     return Beamformer(fan, *received, thread, design.beams.is_box, workspace)
+
+
+def fitted_to_columns(
+    sonar: Sonar, acoustics: Acoustics, sampling: Sampling, shear: float, workspace: Workspace
+) -> Sampling:
+    """Return the `fitted_sampling` of a sonar; parameters as for `make_beamformer`."""
+    design = workspace.once(("design", True), lambda: _design_of(sonar, acoustics, True))
+    return fitted_sampling(sonar, sampling, design.beams, shear)
 
 
 class _Design(NamedTuple):

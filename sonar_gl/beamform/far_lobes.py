@@ -341,7 +341,8 @@ class _Shares(NamedTuple):
     block : (C, 8) of nodes of the columns, rising
     means : (J, C, rank) of the functions of each block over columns
     per_block, by_moment : (B, M) and (M, C) float32, whose product is what each beam receives, 1 on its axis
-    columns, corrected : (B, W) in the support of each beam, and its weights there less what far side lobes receive
+    columns, corrected : (B, W) about the support of each beam, and its weights there less what far side lobes receive
+        in it
     transmitted, per_sr : (C,) power of the projector, and (B,) over the solid angle of each beam
     """
 
@@ -370,7 +371,7 @@ def _shares(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmit_p
     by_moment = means.transpose(0, 2, 1).reshape(n_blocks * rank, C).astype(np.float32)
     per_block = blocks.per_moment().astype(np.float32)
     columns = (near.first[:, None] + np.arange(near.weights.shape[1])) % C
-    of_support = _in_support(per_block, by_moment, near, block, rank)
+    of_support = np.where(near.weights, _in_support(per_block, by_moment, near, block, rank), 0)
     as_upright_rad = near.columns_sr / near.height
     beyond_rad = per_block @ (by_moment @ as_upright_rad) - (of_support * as_upright_rad[columns]).sum(axis=1)
     width_rad = near.width_rad + beyond_rad

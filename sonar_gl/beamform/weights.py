@@ -109,7 +109,9 @@ def beam_weights(
     for beams in blocks_of(len(axes), near.width * n_nodes):
         axis, columns = axes[beams, None], near.first[beams, None] + np.arange(near.width)
         low, high = near.edges_rad[columns] - axis, near.edges_rad[columns + 1] - axis
-        if not whole_columns:
+        if whole_columns:  # as many of all beams, of which some lie beyond the reach where columns are wider
+            high = np.where((low < reach_rad - 1e-12) & (high > 1e-12 - reach_rad), high, low)
+        else:
             low, high = np.clip(low, -reach_rad, reach_rad), np.clip(high, -reach_rad, reach_rad)
         received = high - low
         steer, power = axis[..., None], 1.0

@@ -17,6 +17,7 @@ from sonar_gl.core.array_pool import ArrayPools
 # Initial room of labels: bodies in a column, runs of bins, numbers. Where it is too small, samples are summed twice;
 # what is not used takes no memory.
 SLOTS, RUNS, POOL = 16, 1 << 14, 1 << 22
+KEPT_COLUMNS = 2  # of a lattice and of its mirror image
 T = TypeVar("T")
 
 
@@ -86,8 +87,8 @@ class Workspace:
 
     def __init__(self, pools: ArrayPools | None = None):
         self.pools = ArrayPools() if pools is None else pools
-        self._weights = self._sums = self._label_sums = None, None
-        self._moments, self._made_once = (None, None), {}
+        self._sums = self._label_sums = self._moments = None, None
+        self._weights, self._made_once = {}, {}
         self.works = work_table.make_work(), work_table.make_work()
 
     def once(self, key: Hashable, make: Callable[[], T]) -> T:
@@ -99,12 +100,15 @@ class Workspace:
     def weights(self, column_edges_rad: np.ndarray, make: Callable[[], tuple]) -> tuple:
         """Return the weights of beams over some columns: BeamWeights, and FarLobes or None.
 
-        Those of the last columns are kept: coarse samplings have the same columns. The weights of fine ones are large.
+        Those of the last KEPT_COLUMNS are kept: coarse samplings have the same columns, and so have those that they are
+        compared with. The weights of fine ones are large.
         """
         key = column_edges_rad.tobytes()
-        if self._weights[0] != key:
-            self._weights = key, make()
-        return self._weights[1]
+        found = self._weights.pop(key, None)
+        self._weights[key] = make() if found is None else found  # the last ones used are last
+        if len(self._weights) > KEPT_COLUMNS:
+            del self._weights[next(iter(self._weights))]
+        return self._weights[key]
 
     def moments(
         self, n_column_moments: int, n_beam_moments: int, n_bins: int

@@ -22,7 +22,7 @@ from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.replan_trigger import ReplanTrigger
 from sonar_gl.engine.stage import StageCache
-from sonar_gl.sonar.sampling import LEVELS_PER_HALF, WORST_BODY, ToleranceWarning, sampling_at
+from sonar_gl.sonar.sampling import LEVELS_PER_HALF, WORST_BODY, ToleranceWarning
 
 CHECK_CHANGE = 0.2  # of the whole echo
 # A ping may cost so many times the median of so many before it; what takes the time of a ping beside its samples costs
@@ -206,7 +206,7 @@ class AdaptiveSampling:
         stage = self.resolution.stage
         per_count = stage.fan.n_samples / stage.sampling.count(self._sonar)
         # each ping asks for that of its own level, which the stage has at hand
-        sampling = stage.sampling if level == self.choice.level else sampling_at(self._sonar, level)
+        sampling = stage.sampling if level == self.choice.level else self._model.sampling_at(level)
         n_samples = per_count * sampling.count(self._sonar)
         cost = n_samples + FIXED_SAMPLES
         return cost + n_samples / COARSER + FIXED_SAMPLES if check else cost

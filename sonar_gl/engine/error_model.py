@@ -36,6 +36,7 @@ from sonar_gl.sonar.sampling import (
     ERROR_RATE,
     LEVELS_PER_HALF,
     WORST_BODY,
+    Sampling,
     check_tolerance,
     part_of,
     sampling_at,
@@ -125,14 +126,18 @@ class ErrorModel:
         """The bodies of the scene."""
         return self._stages.engine.meshes.bodies
 
+    def sampling_at(self, level: int) -> Sampling:
+        """Return the samples of a sampling level."""
+        return self._stages.fitted(sampling_at(self._sonar, level))
+
     def stage_at(self, level: int) -> Stage:
         """Return the stage of a sampling level."""
-        return self._stages.stage(sampling_at(self._sonar, level))
+        return self._stages.stage(self.sampling_at(level))
 
     def coarser_stage(self, stage: Stage) -> Stage:
         """Return the stage whose view one with the samples of `stage` is compared with."""
         # in the mirror image of the lattice a rod that runs along its rows does not
-        return self._stages.stage(part_of(stage.sampling, 1 / COARSER), -SHEAR)
+        return self._stages.stage(self._stages.fitted(part_of(stage.sampling, 1 / COARSER), -SHEAR), -SHEAR)
 
     def draw(
         self, setup: PingSetup, level: int, further: Sequence[SceneState] = (), for_labels: bool = False
@@ -144,11 +149,12 @@ class ErrorModel:
         further : states of which views are drawn along
         for_labels : each body is summed by itself, too
         """
-        return self._drawn(self.stage_at(level), setup, further, for_labels)
+        return self.drawn(self.stage_at(level), setup, further, for_labels)
 
-    def _drawn(
+    def drawn(
         self, stage: Stage, setup: PingSetup, further: Sequence[SceneState] = (), for_labels: bool = False
     ) -> TriedView:
+        """Draw and sum the view of a ping with the samples of a stage; the other parameters are as for `draw`."""
         states = [setup.state, *further]
         view, *along = stage.draw([setup.head_pose] * len(states), states, with_bodies=True)
         beamformer, bodies = stage.beamformer, None
@@ -185,7 +191,7 @@ class ErrorModel:
         before : of the same ping with fewer samples, to compare with; None to draw one
         """
         if before is None:
-            before = self._drawn(self.coarser_stage(tried.stage), setup)
+            before = self.drawn(self.coarser_stage(tried.stage), setup)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
         whole = self._whole_error(tried, before, coarser)
         worst = self._worst_body(setup, tried, before, coarser)

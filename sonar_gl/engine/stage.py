@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.beamform.beamformer import Beamformer, make_beamformer
+from sonar_gl.beamform.beamformer import Beamformer, fitted_to_columns, make_beamformer
 from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
 from sonar_gl.beamform.kernels.views import view_index
 from sonar_gl.beamform.workspace import Workspace
@@ -128,6 +128,10 @@ class StageCache:
         while len(self._stages) > MAX_STAGES or (len(self._stages) > 2 and n_bytes > MAX_BYTES):
             n_bytes -= self._stages.pop(next(iter(self._stages))).beamformer.n_bytes
         return made
+
+    def fitted(self, sampling: Sampling, shear: float = SHEAR) -> Sampling:
+        """Return about as many samples, as wide as whole columns; see `fitted_sampling`."""
+        return fitted_to_columns(self.sonar, self.acoustics, sampling, shear, self._workspace)
 
     def settle(self, n_samples: int) -> None:
         """Note how many samples a view has; give back the memory of larger ones if many in a row have far fewer.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.core.checks import frozen_array
-from sonar_gl.sonar.sampling import Sampling
+from sonar_gl.sonar.sampling import MAX_ROWS, Sampling, fewest_rows
 from sonar_gl.sonar.sector import (
     MAX_AZIMUTH_RAD,
     MAX_CONE_RAD,
@@ -45,6 +45,13 @@ MAX_SECTOR_RAD = math.radians(60.0)
 # the half-width of the pattern's support (about four beam widths) over this number.
 COLUMNS_PER_SUPPORT = 128
 PARTS_PER_BEAM = 4  # of its −3 dB width
+# Samples that are wider than upright columns are best as wide as so many of them, which divide the number of columns of
+# a sector. Each sample of a row then serves as many strips as the others, and what is upright and thin counts by its
+# width, wherever it lies. See `fitted_sampling`.
+COLUMNS_PER_SAMPLE = 1, 2, 3, 4, 6, 8, 12, 24
+# Where none fits, samples rather are narrow than wide: of as many, so many times narrower ones err about as much or
+# less, and wider ones more.
+RATHER_NARROWER = 2**0.25
 # A column is weighed by the mean of the transmit beam over it, whatever its echo is at either end. Columns of boxes are
 # as wide as a beam, but there are at least so many in the −3 dB width of the transmit beam.
 COLUMNS_PER_TRANSMIT_BEAM = 16
@@ -173,25 +180,27 @@ def make_fan(
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
     widths : ColumnWidths
     """
-    start, stop = ends_of_fan_rad(sonar, beams)
-    span = stop - start
-    n_sectors = max(1, math.ceil(span / MAX_SECTOR_RAD - 1e-9))
-    n_samples = sampling.columns_per_beam * sonar.n_beams * span / math.radians(sonar.azimuth_fov_deg)
-    samples_per_sector = max(2, math.ceil(n_samples / n_sectors - 1e-9))
-    half_width = span / n_sectors / 2
+    views = _views_of(sonar, beams)
+    (start, stop), n_sectors, half_width = views
+    n_samples = _samples_across(sonar, sampling, views)
+    samples_per_sector = max(2, math.ceil(n_samples - 1e-9))
     top_rad = math.radians(sonar.elevation_fov_deg) / 2
     max_elevation_rad = max(top_rad, math.radians(beams.max_elevation_deg))
     bands = _bands(sampling.rows, samples_per_sector, top_rad, max_elevation_rad, beams)
     dense, *others = (_sectors_of(band, (start, stop), half_width, shear, beams.are_cones) for band in bands)
     sectors = [*dense, *chain.from_iterable(others)]
     seams = start + 2 * half_width * np.arange(n_sectors + 1)
-    sample_rad = span / n_samples
-    edges = _column_edges(sonar, (start, stop), seams, sample_rad, beams, widths)
+    sample_rad = 2 * half_width / n_samples
+    if beams.is_box or beams.are_cones:
+        edges = _column_edges(sonar, (start, stop), seams, sample_rad, beams, widths)
+    else:
+        limits = _limits_of_columns(sonar, views, beams, shear, widths)
+        edges = _upright_edges(seams, limits.count(samples_per_sector))
     wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
     if len(bands) > 1 and not beams.is_box:
         # The lattice that a ping is compared with has wider ones, so that the difference holds their error.
         widest = beams.support_rad / widths.wide_per_support * (math.sqrt(2) if shear < 0 else 1)
-        width = min(SKIRTS_COARSER * span / n_samples, widest)
+        width = min(SKIRTS_COARSER * sample_rad, widest)
         wide_edges = _wide_edges(edges, seams, width)
         if len(wide_edges) > 1:
             of_side_lobes = edges[wide_edges], len(edges) - 1
@@ -200,6 +209,97 @@ def make_fan(
     sectors = tuple(replace(sector, strips=mine) for sector, mine in zip(sectors, strips, strict=True))
     edges = frozen_array(edges, np.float64, (None,), "column edges")
     return Fan(sonar, sampling, sectors, edges, max_elevation_rad, wide_edges, beams.are_cones)
+
+
+class _Views(NamedTuple):
+    """How views divide the azimuths of a fan, beside each other: their ends, how many, and half the width of each."""
+
+    ends_rad: tuple[float, float]
+    count: int
+    half_width_rad: float
+
+
+def _views_of(sonar: Sonar, beams: BeamShape) -> _Views:
+    start, stop = ends_of_fan_rad(sonar, beams)
+    count = max(1, math.ceil((stop - start) / MAX_SECTOR_RAD - 1e-9))
+    return _Views((start, stop), count, (stop - start) / count / 2)
+
+
+def _samples_across(sonar: Sonar, sampling: Sampling, views: _Views) -> float:
+    """Return the samples across each view that a sampling asks for, not always a whole number."""
+    beam_rad = math.radians(sonar.azimuth_fov_deg) / sonar.n_beams
+    return sampling.columns_per_beam * 2 * views.half_width_rad / beam_rad
+
+
+def fitted_sampling(
+    sonar: Sonar,
+    sampling: Sampling,
+    beams: BeamShape,
+    shear: float = SHEAR,
+    widths: ColumnWidths = USUAL_WIDTHS,
+) -> Sampling:
+    """Return about as many samples, each as wide as some whole columns of the fan, or some of them as one column.
+
+    Unless beams are boxes or cones, whose columns have widths of their own. Parameters are as for `make_fan`.
+    """
+    if beams.is_box or beams.are_cones:
+        return sampling
+    views = _views_of(sonar, beams)
+    wanted = _samples_across(sonar, sampling, views)
+    wider = wanted / _limits_of_columns(sonar, views, beams, shear, widths).fitted(wanted)
+    rows = max(round(sampling.rows * wider), min(sampling.rows, fewest_rows(sonar)))
+    return replace(sampling, columns_per_beam=sampling.columns_per_beam / wider, rows=min(rows, MAX_ROWS))
+
+
+class _ColumnLimits(NamedTuple):
+    """The number of upright columns of a view: at least, which all COLUMNS_PER_SAMPLE divide, and at most."""
+
+    fewest: int
+    most: int
+
+    def count(self, n_samples: int) -> int:
+        """Return the number of columns under so many samples across: as many, or a whole part of them."""
+        if n_samples <= self.fewest:
+            return self.fewest
+        return math.ceil(n_samples / max(round(n_samples / self.most), 1))
+
+    def fitted(self, n_samples: float) -> int:
+        """Return about as many samples, of which each has as many columns, or each column as many samples."""
+        n_columns = self.count(math.ceil(n_samples))
+        if n_columns <= n_samples:
+            return n_columns * round(n_samples / n_columns)
+        fitting = (n_columns // n for n in COLUMNS_PER_SAMPLE)
+        return min(fitting, key=lambda n: abs(math.log(n / (RATHER_NARROWER * n_samples))))
+
+
+def _limits_of_columns(
+    sonar: Sonar, views: _Views, beams: BeamShape, shear: float, widths: ColumnWidths
+) -> _ColumnLimits:
+    # the columns of the lattice that a ping is compared with are wider as its samples are
+    plane = 2 * math.tan(views.half_width_rad) / (math.sqrt(2) if shear < 0 else 1)
+    narrowest = beams.support_rad / COLUMNS_PER_SUPPORT
+    widest = max(_widest_column_rad(sonar, views.ends_rad[1] - views.ends_rad[0], widths), narrowest)
+    multiple = math.lcm(*COLUMNS_PER_SAMPLE)
+    fewest = multiple * math.ceil(plane / widest / multiple)
+    return _ColumnLimits(fewest, max(fewest, int(plane / narrowest)))
+
+
+def _widest_column_rad(sonar: Sonar, span_rad: float, widths: ColumnWidths) -> float:
+    spacing = np.diff(sonar.azimuth_rad).min(initial=span_rad)
+    return widths.max_width * min(spacing, math.radians(sonar.beam_width_deg) / PARTS_PER_BEAM)
+
+
+def _upright_edges(seams_rad: np.ndarray, n_columns: int) -> np.ndarray:
+    """Return the azimuths between which upright columns lie, rising: as even on the plane of each view as samples are.
+
+    Parameters
+    ----------
+    seams_rad : (views + 1,) between which the views lie
+    n_columns : of each view
+    """
+    half_width_rad = (seams_rad[1] - seams_rad[0]) / 2
+    within = np.arctan(math.tan(half_width_rad) * np.linspace(-1, 1, n_columns + 1)[:-1])
+    return np.append((seams_rad[:-1, None] + half_width_rad + within).ravel(), seams_rad[-1])
 
 
 def ends_of_fan_rad(sonar: Sonar, beams: BeamShape) -> tuple[float, float]:
@@ -299,9 +399,9 @@ def _column_edges(
         if span > 2 * math.pi - 1e-9:
             ends = (ends + math.pi) % (2 * math.pi) - math.pi
     else:
-        spacing = np.diff(axes_rad).min(initial=span)
-        widest = widths.max_width * min(spacing, math.radians(sonar.beam_width_deg) / PARTS_PER_BEAM)
-        width = max(min(sample_rad, widest), beams.support_rad / COLUMNS_PER_SUPPORT)
+        width = max(
+            min(sample_rad, _widest_column_rad(sonar, span, widths)), beams.support_rad / COLUMNS_PER_SUPPORT
+        )
         ends = np.linspace(start, stop, 1 + math.ceil(span / width - 1e-6))
     edges = merge_close_azimuths(np.clip(np.concatenate([ends, seams_rad]), start, stop))
     if beams.is_box and math.isfinite(beams.transmit_width_rad):
@@ -348,7 +448,7 @@ def _wide_edges(edges_rad: np.ndarray, seams_rad: np.ndarray, width_rad: float) 
     out = [np.zeros(1, np.int64)]
     for first, last in pairwise(at_seams):
         n = last - first
-        column_rad = (edges_rad[last] - edges_rad[first]) / n
+        column_rad = np.diff(edges_rad[first : last + 1]).max()
         n_wide = math.ceil(n / max(round(width_rad / column_rad), 1))
         n_wide += (n - n_wide) % 2 * (n % 2)  # an odd number of columns has a middle one
         before = np.floor(np.arange(n_wide // 2 + 1) * n / n_wide + 0.5).astype(np.int64)  # to the middle

@@ -76,12 +76,20 @@ def check_tolerance(tolerance) -> float:
     return float(tolerance)
 
 
+def fewest_rows(sonar: Sonar) -> int:
+    """Return the number of rows of the coarsest sampling that is chosen for a tolerance."""
+    return max(MIN_ROWS, math.ceil(_aperture_deg(sonar) / MAX_ROW_DEG))
+
+
+def _aperture_deg(sonar: Sonar) -> float:
+    """Return the aperture as rows share it, which are even in tan φ: as high as requested on the boresight."""
+    return math.degrees(2 * math.tan(math.radians(sonar.elevation_fov_deg) / 2))
+
+
 def sampling_of_width(sonar: Sonar, sample_deg: float) -> Sampling:
     """Return the sampling with samples of a width, degrees, and of the same height up to MAX_ROW_DEG."""
     columns = max(MIN_COLUMNS, sonar.azimuth_fov_deg / sample_deg)
-    # rows are even in tan φ: as high as requested on the boresight, less high above and below
-    aperture_deg = math.degrees(2 * math.tan(math.radians(sonar.elevation_fov_deg) / 2))
-    rows = max(MIN_ROWS, math.ceil(aperture_deg / min(sample_deg, MAX_ROW_DEG)))
+    rows = max(math.ceil(_aperture_deg(sonar) / sample_deg), fewest_rows(sonar))
     return Sampling(min(columns / sonar.n_beams, MAX_COLUMNS_PER_BEAM), min(rows, MAX_ROWS))
 
 

@@ -26,6 +26,9 @@ import numpy as np
 # fractions approximate badly.
 SHEAR = 0.2764
 SHEAR_ROWS = 0.18
+# All rows together are shifted by so much of their length at most, where there are many short ones. With a simple
+# fraction of it, rays of some rows would lie on borders of strips, and rounding decide which strips they serve.
+MAX_SHEAR = 0.2487
 
 # Columns of cones end at this angle off the plane across the array, and cones at this azimuth: beyond it lies the array
 # itself, where their strips would be as wide as the sector.
@@ -194,7 +197,7 @@ def make_sector(
         rise = min(rise, tan_width / ((high - low) * max(lean, 1e-9)))
     shear_v = min(rise * rows, n_samples) if shear else 0.0
     R = 2 * math.ceil(((top - bottom) / dv + shear_v) / 2)
-    shear_u = min(abs(shear) * R, n_samples / 4)
+    shear_u = min(abs(shear) * R, MAX_SHEAR * n_samples)
     C = n_samples + 2 * math.ceil(shear_u / 2 + 0.5)
     step_u, step_v = math.copysign(shear_u / R * du, shear), math.copysign(shear_v / C * dv, shear)
     u = np.array([-(C - 1) / 2 * du - (R - 1) / 2 * step_u, du, step_u])

@@ -275,7 +275,7 @@ def test_echoes_follow_the_two_way_elevation_pattern():
     acoustics = sg.Acoustics.physical(elevation_pattern="line_array", beam_pattern="box")
     sonar = replace(SONAR, n_beams=3, azimuth_fov_deg=3.0, beam_width_deg=1.0)
     at_deg = np.array([0.0, 5.0, 10.0, -10.0, 20.0, -24.0])
-    fine = sg.Sampling(150, 1000)  # 85 columns and 28 rows on a plate
+    fine = sg.Sampling(300, 2000)  # 170 columns and 57 rows on a plate, a quarter in skirts
     levels = [ping([chip(0.0, e, 0.1)], acoustics, sonar, sampling=fine).intensity.sum() for e in at_deg]
     x = 0.318917 * np.sin(np.radians(at_deg)) / np.sin(np.radians(10.0))
     np.testing.assert_allclose(np.array(levels) / levels[0], np.sinc(x) ** 4, rtol=0.02)
@@ -321,8 +321,9 @@ def test_a_strong_target_has_side_lobes_in_azimuth(taper, highest_db):
     elif taper == "taylor":
         null *= 1.5
     side = (off > null) & (off < support - 0.1)
-    # beams miss the peak by half of their spacing at most, a 23rd of a lobe's width, where it is 0.08 dB lower
-    assert 10 * np.log10(power[side].max()) == pytest.approx(highest_db, abs=0.1)
+    # beams miss the peak by half of their spacing at most, a 23rd of a lobe's width, where it is 0.08 dB lower; and the
+    # samples that meet the chip lie up to half a sample beside it, a quarter as far
+    assert 10 * np.log10(power[side].max()) == pytest.approx(highest_db, abs=0.125)
     assert power[side].min() < power[side].max() / 10  # nulls between
     assert not power[off > support + 0.15].any()
 

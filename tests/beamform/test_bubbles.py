@@ -176,11 +176,11 @@ def test_a_bubble_echoes_like_a_lambert_sphere():
     pose, a = sg.pose(*direction(-2.0, 5.0, 7.0)), 5e-3
     ball = sg.Body("ball", trimesh.creation.icosphere(4, a), pose, reflectivity=3 / 8)
     scene = sg.Scene([ball, still(pose[:3, 3], a)])
-    with sg.Simulator(scene, SONAR, acoustics, sg.Sampling(60, 4000)) as simulator:
+    with sg.Simulator(scene, SONAR, acoustics, sg.Sampling(90, 6000)) as simulator:
         simulator.place({"still": None})
         by_ball = simulator.ping(HERE).intensity.sum(axis=1)
         by_bubble = simulator.ping(HERE, bodies={"ball": None, "still": HERE}).intensity.sum(axis=1)
-    # the ball is a sixth of a beam wide, with a hundred samples on it
+    # the ball is a sixth of a beam wide, with two hundred samples on it
     received = by_ball > 0.01 * by_ball.max()
     assert received.sum() >= 3
     np.testing.assert_allclose(by_bubble[received], by_ball[received], rtol=0.02)

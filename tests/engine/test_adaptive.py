@@ -795,6 +795,28 @@ def test_the_promise_counts_what_strips_take_of_thin_upright_parts(bodies, seed)
     assert worst_body(ping, truth)[0] <= WORST_BODY * tolerance
 
 
+def test_samples_as_wide_as_whole_columns_take_thin_upright_parts_by_their_width():
+    """Of posts of an eighth of a sample, strips of other widths take up to a quarter too much or too little."""
+    sonar, acoustics = sg.Sonar("thin", 900e3, 128, 400, 60.0, 20.0, 1.0, 0.5, 20.0), sg.Acoustics.physical()
+    mesh, apart = trimesh.creation.box((0.005, 0.005, 3.0)), {}
+    bodies = [
+        sg.Body(f"post {k}", mesh, sg.pose(10 * math.cos(azimuth), 10 * math.sin(azimuth), 0, 0, 0, azimuth))
+        for k, azimuth in enumerate(np.radians(np.linspace(-29.0, 29.0, 24)))
+    ]
+    with sg.Simulator(sg.Scene(bodies), sonar, acoustics) as simulator, simulator.run.drawing():
+        model, setup = simulator.run.sampler.search.model, simulator.run.resolve(PingRequest(np.eye(4)))
+        for level in range(8, 15):
+            for way, sampling in (
+                ("fitted", model.sampling_at(level)),
+                ("as asked", sampling_at(sonar, level)),
+            ):
+                counts = model.drawn(simulator.run.stages.stage(sampling), setup).counts
+                off = np.abs(counts.of_strips / counts.echo - 1)[1:]
+                apart.setdefault(way, []).append(off.max())
+    assert max(apart["as asked"]) > 0.1
+    assert max(apart["fitted"]) < 0.01  # of skirts, whose samples and columns are wider
+
+
 @pytest.mark.parametrize("stripes", ["along rows", "across rows"])
 def test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples(stripes):
     """By NumPy: of stripes of reflectivities at random, at other ranges in each row; they show across them alone."""
@@ -984,8 +1006,9 @@ class TestSideLobes:
         for bodies in [floor], [floor, self.ball(elevation_deg)]:
             with sg.Simulator(sg.Scene(bodies), self.SONAR, self.PHYSICAL) as simulator:
                 levels.append([simulator.plan([pose]).level for pose in self.poses(4)])
-        # a level more at one pose, where a single sample of the side lobes meets the ball: its echo may be a thousandth
-        assert sum(np.subtract(levels[1], levels[0])) <= 1
+        # Two more where a single sample of the side lobes meets the ball: its echo may be a thousandth. Where it is,
+        # the ball takes ten more.
+        assert max(np.subtract(levels[1], levels[0])) <= 2
 
     @pytest.mark.parametrize("azimuth_deg", [0, 20])
     @pytest.mark.parametrize("elevation_deg", [0, 8, -15, 24, -45, 40, 60, 80])

@@ -32,7 +32,8 @@ def test_what_no_sampling_changes_is_found_once(monkeypatch):
     with sg.Simulator(sg.Scene([]), SONAR, sampling=sampling_at(SONAR, 0)) as simulator:
         stages = simulator.run.stages
         with simulator.run.drawing():
+            stages.stage(sampling_at(SONAR, 2), -SHEAR)  # whose columns are wider: other weights
             calls.clear()
-            first, other = (stages.stage(sampling_at(SONAR, 2), shear) for shear in (SHEAR, -SHEAR))
+            first, other = (stages.stage(sampling_at(SONAR, 4), shear) for shear in (SHEAR, -SHEAR))
     assert not calls
     assert first.beamformer.elevation_table is other.beamformer.elevation_table

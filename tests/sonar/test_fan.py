@@ -8,7 +8,10 @@ import pytest
 import sonar_gl as sg
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.weights import beam_weights
-from sonar_gl.sonar.fan import BeamShape, ColumnWidths, ends_of_fan_rad, make_fan
+from sonar_gl.sonar.fan import BeamShape, ColumnWidths, ends_of_fan_rad, fitted_sampling, make_fan
+from sonar_gl.sonar.sampling import fewest_rows, sampling_at
+from sonar_gl.sonar.sector import SHEAR
+from sonar_gl.sonar.sonar import presets
 from tests.support.fans import box_fan, make_sonar
 
 
@@ -113,18 +116,51 @@ def test_box_beams_consist_of_complete_columns(name):
 
 
 @pytest.mark.parametrize(
-    ("beam_width_deg", "columns_per_beam", "columns_per_spacing"),
-    [(1.0, 3.516, 3.516), (1.0, 1.0, 2), (0.5, 1.0, 45 / 16), (90.0, 4.0, 0.25)],
+    ("beam_width_deg", "columns_per_beam", "least_per_spacing"),
+    [(1.0, 3.516, 0), (1.0, 1.0, 2), (0.5, 1.0, 45 / 16), (90.0, 0.2, 0.25)],
 )
-def test_columns_of_smooth_patterns(beam_width_deg, columns_per_beam, columns_per_spacing):
-    """Columns are as wide as a sample, at most half a spacing and an eighth of a beam; wider for much wider beams."""
+def test_columns_of_smooth_patterns(beam_width_deg, columns_per_beam, least_per_spacing):
+    """Columns are as wide as a sample, at most half a spacing and an eighth of a beam; wider if beams are much wider.
+
+    As samples, they are even on the plane of a view. Under wider samples their number is the least that is a multiple
+    of 24.
+    """
     sonar = make_sonar(n_beams=256, beam_width_deg=beam_width_deg)
     support_rad = Acoustics.physical().receive_support_rad(sonar)
     fan = make_fan(sonar, sg.Sampling(columns_per_beam, 16), BeamShape(support_rad, is_box=False))
-    edges = fan.column_edges_rad
-    per_spacing = math.radians(45 / 256) * fan.n_columns / (edges[-1] - edges[0])
-    # their number is whole
-    assert per_spacing == pytest.approx(columns_per_spacing, rel=1 / fan.n_columns)
+    edges, n_views = fan.column_edges_rad, len(fan.sectors)
+    half_rad, n = (edges[-1] - edges[0]) / n_views / 2, fan.n_columns // n_views
+    for k, sector in enumerate(fan.sectors):
+        u = np.tan(edges[k * n : (k + 1) * n + 1] - sector.azimuth_rad)
+        np.testing.assert_allclose(np.diff(u), 2 * math.tan(half_rad) / n, rtol=1e-9)
+    least = 2 * math.tan(half_rad) / math.radians(45 / 256) * least_per_spacing
+    if least:
+        assert n == 24 * math.ceil(least / 24)
+    else:
+        assert n == math.ceil(columns_per_beam * 2 * half_rad / math.radians(45 / 256))
+
+
+@pytest.mark.parametrize("name", presets())
+def test_fitted_samples_serve_whole_strips(name):
+    """In the aperture a sample is as wide as a whole number of strips, at all levels of devices with upright beams."""
+    sonar, acoustics = sg.load_sonar(name), Acoustics.physical()
+    support_rad = acoustics.receive_support_rad(sonar)
+    beams = BeamShape(support_rad, is_box=False, are_cones=acoustics.has_cones(sonar))
+    for level in range(0, 22, 3):
+        asked = sampling_at(sonar, level)
+        for shear in SHEAR, -SHEAR:
+            fitted = fitted_sampling(sonar, asked, beams, shear)
+            if beams.are_cones:
+                assert fitted is asked
+                continue
+            fan = make_fan(sonar, fitted, beams, shear)
+            for sector in fan.sectors:
+                ratios = sector.u[1] / sector.strips.width
+                np.testing.assert_allclose(ratios, round(ratios[0]), rtol=1e-9)
+            # as many samples, unless rows are as few as they may be
+            assert fitted.count(sonar) == pytest.approx(asked.count(sonar), rel=0.03) or (
+                fitted.rows == fewest_rows(sonar) and fitted.count(sonar) > asked.count(sonar)
+            )
 
 
 def test_the_largest_width_of_columns_is_a_parameter():
@@ -141,8 +177,9 @@ def test_columns_of_a_table_are_half_its_least_spacing_wide_at_most():
     sonar = make_sonar(90.0, 5, 6.0, beam_azimuths_deg=(-40.0, -11.0, 0.5, 1.0, 44.0))
     support_rad = Acoustics.physical().receive_support_rad(sonar)
     fan = make_fan(sonar, sg.Sampling(0.25, 16), BeamShape(support_rad, is_box=False))
-    widest_rad = np.diff(fan.column_edges_rad).max()
-    assert math.radians(0.49) / 2 < widest_rad <= math.radians(0.5) / 2 * (1 + 1e-9)
+    widest_rad, n = np.diff(fan.column_edges_rad).max(), fan.n_columns // len(fan.sectors)
+    # 24 fewer would be wider
+    assert widest_rad <= math.radians(0.5) / 2 * (1 + 1e-9) < widest_rad * n / (n - 24)
 
 
 @pytest.mark.parametrize("width_deg", [8.0, 30.0])

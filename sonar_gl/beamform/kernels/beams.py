@@ -58,7 +58,7 @@ def weigh_columns(column_sums, spans, tiles, part, gain, out):
             c2, c3 = uint64((at + 2) % n_columns), uint64((at + 3) % n_columns)
             low = min(spans[c0, 0], spans[c1, 0], spans[c2, 0], spans[c3, 0])
             high = max(spans[c0, 1], spans[c1, 1], spans[c2, 1], spans[c3, 1])
-            if low >= high:
+            if low >= high or not w.any():
                 continue
             begin, end = min(begin, low), max(end, high)
             a0, a1, a2, a3 = w[0, 0], w[0, 1], w[0, 2], w[0, 3]
