@@ -164,9 +164,14 @@ def make_beamformer(
 
 
 def fitted_to_columns(
-    sonar: Sonar, acoustics: Acoustics, sampling: Sampling, shear: float, workspace: Workspace
+    sonar: Sonar,
+    acoustics: Acoustics,
+    sampling: Sampling,
+    shear: float = SHEAR,
+    workspace: Workspace | None = None,
 ) -> Sampling:
     """Return the `fitted_sampling` of a sonar; parameters as for `make_beamformer`."""
+    workspace = workspace or Workspace()
     design = workspace.once(("design", True), lambda: _design_of(sonar, acoustics, True))
     return fitted_sampling(sonar, sampling, design.beams, shear)
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.beamform.beamformer import fitted_to_columns, make_beamformer
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, closed_error, copied_error, other_process_error
@@ -159,8 +159,7 @@ class Sensor:
         pose, host = check_pose(pose), self._current_host()
         if self._drawing is None or self._drawing.near_m != near_m:
             self._release_framebuffers()
-            sampling = self.sampling or sampling_at(self.sonar, typical_level(self.tolerance))
-            self._drawing = Drawing(host, self._stage(sampling), near_m)
+            self._drawing = Drawing(host, self._stage(self.sampling or self._usual_sampling()), near_m)
         return self._drawing.make_sectors(pose)
 
     def finish(
@@ -282,6 +281,11 @@ class Sensor:
             raise other_process_error("Sensor")
         if self._is_closed:
             raise closed_error("Sensor")
+
+    def _usual_sampling(self) -> Sampling:
+        """Return the samples that most pings need for the tolerance."""
+        asked = sampling_at(self.sonar, typical_level(self.tolerance))
+        return fitted_to_columns(self.sonar, self.acoustics, asked)
 
     def _stage(self, sampling: Sampling) -> Stage:
         """Return the sonar's stage of this sampling."""
