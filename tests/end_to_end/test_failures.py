@@ -90,7 +90,7 @@ def test_floors_with_a_sonar_on_its_side(turn):
 def test_fine_bins(tolerance, seam):
     """Bins of 2.5 mm, some hundred per sample."""
     plain, ours, empty, worst = regimes.fine_bins(tolerance)
-    assert empty > 0.99
+    assert empty > 0.95
     assert plain > 1.9  # nearly all of the echo is in wrong bins, where 2 is the maximum
     assert ours < 2e-4  # the ray's length, taken as constant over a footprint
     assert worst < seam  # one bin, where two rows meet
