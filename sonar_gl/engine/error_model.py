@@ -149,13 +149,7 @@ class ErrorModel:
         further : states of which views are drawn along
         for_labels : each body is summed by itself, too
         """
-        return self.drawn(self.stage_at(level), setup, further, for_labels)
-
-    def drawn(
-        self, stage: Stage, setup: PingSetup, further: Sequence[SceneState] = (), for_labels: bool = False
-    ) -> TriedView:
-        """Draw and sum the view of a ping with the samples of a stage; the other parameters are as for `draw`."""
-        states = [setup.state, *further]
+        stage, states = self.stage_at(level), [setup.state, *further]
         view, *along = stage.draw([setup.head_pose] * len(states), states, with_bodies=True)
         beamformer, bodies = stage.beamformer, None
         if for_labels:
@@ -164,10 +158,21 @@ class ErrorModel:
             echo = beamformer.sum_view(view, setup.gain)
         return self.tried(stage, view, echo)._replace(bodies=bodies, further=along)
 
-    def tried(self, stage: Stage, view: ViewSamples, echo: BeamEcho) -> TriedView:
-        """Return a view that was drawn and summed already, with what was met of each body."""
+    def _coarser(self, setup: PingSetup, stage: Stage, is_counted: np.ndarray) -> TriedView:
+        """Return the view that one of a stage is compared with; is_counted : of `count_bodies`."""
+        coarser = self.coarser_stage(stage)
+        (view,) = coarser.draw([setup.head_pose], [setup.state], with_bodies=True)
+        return self.tried(coarser, view, coarser.beamformer.sum_view(view, setup.gain), is_counted)
+
+    def tried(
+        self, stage: Stage, view: ViewSamples, echo: BeamEcho, is_counted: np.ndarray | None = None
+    ) -> TriedView:
+        """Return a view that was drawn and summed already, with what was met of each body.
+
+        is_counted : of `count_bodies`
+        """
         extents = self._current_extents()
-        found = count_bodies(view.sectors, len(self.bodies), self._reception(stage))
+        found = count_bodies(view.sectors, len(self.bodies), self._reception(stage), is_counted)
         # Most of the echo of a round smooth body is that of few samples, and none of it may have met the glint. Other
         # bodies of one reflectivity err along their outlines, which the number of samples tells of.
         shares = extents.glint_shares
@@ -190,11 +195,13 @@ class ErrorModel:
         tried : with samples of that level
         before : of the same ping with fewer samples, to compare with; None to draw one
         """
+        counts = self._counting_bodies(setup, tried)
+        is_compared = counts & (tried.counts.samples < MAX_COMPARED_SAMPLES)
         if before is None:
-            before = self.drawn(self.coarser_stage(tried.stage), setup)
+            before = self._coarser(setup, tried.stage, is_compared)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
         whole = self._whole_error(tried, before, coarser)
-        worst = self._worst_body(setup, tried, before, coarser)
+        worst = self._worst_body(tried, before, coarser, counts, is_compared)
         steps = min(math.ceil(max(whole.steps, worst.steps)), MAX_STEPS)
         stage = tried.stage
         estimates = whole.error, worst.error, worst.number
@@ -214,17 +221,26 @@ class ErrorModel:
         return ErrorEstimate(error, steps)
 
     def _worst_body(
-        self, setup: PingSetup, tried: TriedView, before: TriedView, coarser: float
+        self,
+        tried: TriedView,
+        before: TriedView,
+        coarser: float,
+        counts: np.ndarray,
+        is_compared: np.ndarray,
     ) -> ErrorEstimate:
         """Estimate the error of each body's own echo, and return the largest; `coarser` as of `_whole_error`.
 
         By the samples that met it, by how the two lattices differ, and by what strips take beyond the samples.
+
+        Parameters
+        ----------
+        counts : of `_counting_bodies`
+        is_compared : likewise, which bodies are to be compared with `before`
         """
         hits, echo, of_strips, unevenness, strands = tried.counts
-        counts = self._counting_bodies(setup, tried)
         factor = DIFFERENCE_FACTOR * share_of_difference(coarser, BODY_ERROR_RATE)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
-        apart = np.where(hits < MAX_COMPARED_SAMPLES, apart, 0.0)
+        apart = np.where(is_compared, apart, 0.0)
         uneven = UNEVEN_FACTOR * unevenness / np.maximum(echo, 1e-30)
         shown = np.minimum(np.maximum(apart, uneven), 1.0)
         errors = np.maximum(body_error(np.maximum(hits, 1.0), strands), shown)

@@ -110,6 +110,7 @@ def _count_samples(
     bins,
     gain,
     elevation_table,
+    is_counted,
     counts,
     echo,
     of_strips,
@@ -125,6 +126,7 @@ def _count_samples(
     received_u : of `Beamformer`
     bins : (2,) start of the first bin, metres, and bins per metre
     elevation_table : of `Beamformer`, taken at the nearest sine
+    is_counted : (bodies + 1,) bool, whether the samples of a body are added
     of_strips : (bodies + 1,), filled with the sums that the strips take of these samples
     unlike : (2, bodies + 1), filled with the squared differences of neighbours on one body, along rows and across
     places : (bodies + 1, 8), filled with the sums N..JJ
@@ -149,6 +151,9 @@ def _count_samples(
             q = plane_echo[j, i, 0]
             if q <= 0.0 or plane_echo[j, i, 3] <= 0.0:
                 continue
+            body = body_id[j, i]
+            if not is_counted[body]:
+                continue
             uc, vc = u[0] + u[1] * i + u[2] * j, v[0] + v[1] * i + v[2] * j
             v2, u2 = vc * abs(vc), 1.0 + uc * uc
             if abs(uc) > reach or v2 > high2 * u2 or v2 < low2 * u2:
@@ -165,7 +170,6 @@ def _count_samples(
                 per_L2 = inverse * q
                 place = int(per_sine + vc * L * per_L2 * per_sine + 0.5)
                 pattern = elevation_table[place] if elevation_table.shape[0] else 1.0
-                body = body_id[j, i]
                 returned = plane_echo[j, i, 3] * q * area * per_L2 * per_L2 * gain[int(k)] * pattern
                 if n_strips:
                     while past < n_strips and middles[past] <= uc + half:
@@ -196,12 +200,24 @@ def _count_samples(
                 beside, body_beside, above[i], body_above[i] = returned, body, returned, body
 
 
-def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Reception) -> BodyCounts:
-    """Count the samples on each body, and about the echo of each."""
+def count_bodies(
+    samples: Sequence[SectorSamples],
+    n_bodies: int,
+    reception: Reception,
+    is_counted: np.ndarray | None = None,
+) -> BodyCounts:
+    """Count the samples on each body, and about the echo of each.
+
+    is_counted : (bodies + 1,) bool by number, of which bodies; None for all. Those of others are 0
+    """
     counts, echo, of_strips = np.zeros((3, n_bodies + 1))
+    if is_counted is None:
+        is_counted = np.ones(n_bodies + 1, bool)
+    elif not is_counted.any():
+        return BodyCounts(counts, echo, of_strips, *np.zeros((2, n_bodies + 1)))
     unlike = np.zeros((2, n_bodies + 1))
     bins = reception.sonar.range_min_m, 1.0 / reception.sonar.bin_size_m
-    gains = reception.gain, reception.elevation_table
+    settings = reception.gain, reception.elevation_table, is_counted
     places = np.zeros((len(samples), n_bodies + 1, JJ + 1))
     for one, received, of_sector in zip(samples, reception.received_u, places, strict=True):
         if not one.plane_echo.size:  # no body lies in it
@@ -210,7 +226,7 @@ def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Rec
         limits = one.sector.strips.sines, math.tan(one.sector.half_width_rad), received
         sums = counts, echo, of_strips, unlike, of_sector
         _count_samples(
-            arrays, one.lattice, _upright_strips(one.sector, received), *limits, bins, *gains, *sums
+            arrays, one.lattice, _upright_strips(one.sector, received), *limits, bins, *settings, *sums
         )
     # half the mean square of the differences of two is their variance; stripes show across them alone
     return BodyCounts(counts, echo, of_strips, np.sqrt(unlike.max(axis=0) / 2), _strands(places).sum(axis=0))
@@ -224,7 +240,7 @@ def _upright_strips(sector: Sector, received) -> tuple[np.ndarray, np.ndarray]:
     """
     if sector.strips.are_cones or len(received):
         return np.empty(0), np.empty(0)
-    return sector.strips.middle[::-1].copy(), np.append(0.0, np.cumsum(sector.strips.width[::-1]))
+    return sector.strips.by_u
 
 
 def _strands(places) -> np.ndarray:

@@ -67,6 +67,11 @@ class Strips:
             return math.inf, -math.inf
         return float((self.middle - self.width / 2).min()), float((self.middle + self.width / 2).max())
 
+    @cached_property
+    def by_u(self) -> tuple[np.ndarray, np.ndarray]:
+        """The middles of upright strips, (P,) and rising, and (P + 1,) where they end, the first at 0."""
+        return self.middle[::-1].copy(), np.append(0.0, np.cumsum(self.width[::-1]))
+
 
 @dataclass(frozen=True, eq=False)
 class Sector:

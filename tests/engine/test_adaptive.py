@@ -810,7 +810,9 @@ def test_samples_as_wide_as_whole_columns_take_thin_upright_parts_by_their_width
                 ("fitted", model.sampling_at(level)),
                 ("as asked", sampling_at(sonar, level)),
             ):
-                counts = model.drawn(simulator.run.stages.stage(sampling), setup).counts
+                stage = simulator.run.stages.stage(sampling)
+                (view,) = stage.draw([setup.head_pose], [setup.state], with_bodies=True)
+                counts = model.tried(stage, view, stage.beamformer.sum_view(view, setup.gain)).counts
                 off = np.abs(counts.of_strips / counts.echo - 1)[1:]
                 apart.setdefault(way, []).append(off.max())
     assert max(apart["as asked"]) > 0.1
@@ -1486,7 +1488,7 @@ def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
     ball = sg.Body("ball", made.icosphere(4, 0.5), sg.pose(5, 1), 0.1, specular=0.5, roughness_rad=0.1)
     bodies = [ball, sg.Body("striped", box, sg.pose(5, -1), np.linspace(0.1, 0.9, 12))]
     met = BodyCounts(*(np.arange(1.0, 21.0).reshape(5, 4)))
-    monkeypatch.setattr(error_model, "count_bodies", lambda sectors, n_bodies, reception: met)
+    monkeypatch.setattr(error_model, "count_bodies", lambda *arguments: met)
     with sg.Simulator(sg.Scene(bodies), SONAR, replace(IDEAL, specular=True), tolerance=0.02) as simulator:
         run = simulator.run
         model = run.sampler.search.model
@@ -1509,6 +1511,32 @@ def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
     np.testing.assert_array_equal(shown.counts, expected)
     assert louder.echo.total == pytest.approx(2 * shown.echo.total, rel=1e-5)
     assert judged.steps < 0  # where none counts, as of bubbles alone, the whole decides
+
+
+def test_of_a_coarser_view_those_bodies_alone_are_counted_that_it_is_compared_by():
+    """It is judged as if all were; of the ball, which few samples meet, the two views differ."""
+    scene = sg.Scene(
+        [sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(19)), ball(x=12, radius=0.1)]
+    )
+    with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.02) as simulator:
+        run = simulator.run
+        model, setup = run.sampler.search.model, run.set_up(PingRequest(np.eye(4)))
+        with run.drawing():
+            tried = model.draw(setup, 14)
+            judged, coarser = model.judge(setup, 14, tried), model.coarser_stage(tried.stage)
+            (view,) = coarser.draw([np.eye(4)], [setup.state], with_bodies=True)
+            echo = coarser.beamformer.sum_view(view, setup.gain)
+            whole = model.tried(coarser, view, echo)
+            found = model.tried(coarser, view, echo, np.array([False, False, True]))
+            other = whole._replace(counts=whole.counts._replace(echo=2 * whole.counts.echo))
+            assert model.judge(setup, 14, tried, whole) == judged
+            assert (
+                model.judge(setup, 14, tried, other).plan.worst_body_estimate
+                > judged.plan.worst_body_estimate
+            )
+    assert judged.plan.worst_body == 2
+    for some, all_ in zip(found.counts, whole.counts, strict=True):
+        np.testing.assert_array_equal(some, [0, 0, all_[2]])
 
 
 FEW = visibility.MIN_BODY_SAMPLES
