@@ -19,6 +19,7 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import STEPS, Batch
+from sonar_gl.core.cores import count_cores
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.warn import collected_warnings, warn_caller
@@ -138,9 +139,13 @@ class Task:
 
 
 @contextmanager
-def _environment_of_children():
-    """Set what child processes inherit: one thread for libraries, and no Ctrl-C, which the pool handles."""
+def _environment_of_children(n_threads: int):
+    """Set what child processes inherit: how many threads they have, and no Ctrl-C, which the pool handles.
+
+    n_threads : of ours, unless the user has said how many; libraries have one
+    """
     settings = dict.fromkeys(ONE_THREAD, "1") | NO_LEAK_WARNING
+    settings["NUMBA_NUM_THREADS"] = os.environ.get("NUMBA_NUM_THREADS", str(n_threads))
     before = {key: os.environ.get(key) for key in settings}
     os.environ.update(settings)
     interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -157,6 +162,7 @@ class Process:
 
     Parameters
     ----------
+    n_threads : it may compute with
     arguments : job, url, device, any_system and is_dry_run, as for `serve`
 
     Attributes
@@ -166,11 +172,11 @@ class Process:
     pid : its process id
     """
 
-    def __init__(self, *arguments):
+    def __init__(self, n_threads: int, *arguments):
         context = multiprocessing.get_context("spawn")  # a fork would share the parent's OpenGL
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=serve, args=(theirs, *arguments), daemon=True)
-        with _environment_of_children():
+        with _environment_of_children(n_threads):
             self._process.start()
         theirs.close()
         self.pid = self._process.pid
@@ -248,7 +254,9 @@ class Pool:
         any_system: bool = False,
         is_dry_run: bool = False,
     ):
-        self._arguments = [(job, url, device, any_system, is_dry_run) for device in devices]
+        # more threads than cores take turns, and overwrite what another has in fast memory
+        n_threads = max(1, count_cores() // len(devices))
+        self._arguments = [(n_threads, job, url, device, any_system, is_dry_run) for device in devices]
         self._again = "" if is_dry_run else " by --resume"
         self.processes: dict[int, Process] = {}
         self.warn, self.stopping = warn, False

@@ -188,7 +188,7 @@ class ImageSources:
     tolerance : of the whole echo. Reflectors that can return no more than this share of it are left out
     """
 
-    def __init__(self, stages: StageCache, thread: SecondThread, scene: Scene, tolerance: float):
+    def __init__(self, stages: StageCache, thread: SecondThread | None, scene: Scene, tolerance: float):
         sonar, engine = stages.sonar, stages.engine
         # specular lobes hold for echoes straight back; the projector's weight would be that of the wrong way
         acoustics = replace(stages.acoustics, specular=False, transmit_beam=False)

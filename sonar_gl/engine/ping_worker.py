@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from threading import Lock
 
-import numba
-
-from sonar_gl.core.cores import count_cores
 from sonar_gl.core.worker import Job, JobThread, held
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
@@ -18,16 +15,7 @@ from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import IN_USE
 from sonar_gl.scene.scene import Scene
 
-MAX_WORKERS = 8  # beyond this Python's own share of a ping, about a tenth of a millisecond, is the limit
 NAME = "sonar_gl ping"  # of the threads
-
-
-def n_threads() -> int:
-    """Return how many threads make pings: one for each core that this process may use, or NUMBA_NUM_THREADS."""
-    count = numba.config.NUMBA_NUM_THREADS
-    if count == numba.config.NUMBA_DEFAULT_NUM_THREADS:  # it knows of no share of time, as of containers
-        count = count_cores()
-    return min(count, MAX_WORKERS)
 
 
 class PingWorker:

@@ -102,7 +102,7 @@ def assemble(
     instrument: Instrument,
     received: ReceivedPing,
     origin: SampleOrigin,
-    thread: SecondThread,
+    thread: SecondThread | None,
     error_estimate: float | None = None,
 ) -> Ping:
     """Return the finished ping, after the receiver's last steps: matched filter, motion, cross-talk, noise.
@@ -112,7 +112,7 @@ def assemble(
 
     Parameters
     ----------
-    thread : does half of the matched filter and of the noise
+    thread : does half of the matched filter and of the noise; None without one
     error_estimate : of the ping; None without one
     """
     request, found = received.drawn.setup.request, labels_of_all_echo(received)
@@ -315,7 +315,7 @@ def labels_of_all_echo(received: ReceivedPing) -> Labels | None:
     return of_all_echo(labels, received.direct.intensity, sum(more[1:], more[0]))
 
 
-def filtered_powers(received: ReceivedPing, thread: SecondThread) -> dict[str, np.ndarray | None]:
+def filtered_powers(received: ReceivedPing, thread: SecondThread | None) -> dict[str, np.ndarray | None]:
     """Return the powers of a ping after the matched filter, by the names of the fields of `Ping`.
 
     Each is (B, K) float32, linear, or None where the ping does not need it. The other echoes are added to the array of

@@ -12,10 +12,11 @@ from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThread
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing
-from sonar_gl.engine.ping_worker import PingWorker, n_threads
+from sonar_gl.engine.ping_worker import PingWorker
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
+from sonar_gl.engine.threads import n_threads
 from sonar_gl.ping import Ping
 
 BATCH = 4  # pings drawn at once

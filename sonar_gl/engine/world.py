@@ -17,6 +17,7 @@ from sonar_gl.core.checks import check_kind, check_number, is_number, shown, unk
 from sonar_gl.core.errors import Error, closed_error, other_process_error
 from sonar_gl.core.poses import MAX_TIME_S, check_pose
 from sonar_gl.core.worker import Job, SecondThread, ThreadLock
+from sonar_gl.engine.threads import n_threads
 from sonar_gl.raster.engine import RasterEngine, make_engine
 from sonar_gl.scene.grown_scene import GrownScene
 from sonar_gl.scene.kept_meshes import KeptMeshes
@@ -65,7 +66,7 @@ class World:
     Attributes
     ----------
     engine : RasterEngine, with their meshes; None once it is given back
-    thread : SecondThread, which all simulators share
+    thread : SecondThread, which all simulators share; None where no core is free for it
     gl_info : names and limits of what draws
     n_changes : how often bodies were placed elsewhere or added, but while a sequence takes its requests
     """
@@ -82,7 +83,8 @@ class World:
         self._kept_meshes = KeptMeshes()
         self._models = scene.models
         self._given, self._kept = GrownScene(scene), GrownScene(self._kept_meshes.scene(scene))
-        self._users, self.thread, self._jobs = set(), SecondThread(), WeakSet()
+        self._users, self._jobs = set(), WeakSet()
+        self.thread = SecondThread() if n_threads() > 1 else None
         self.n_changes, self._taking = 0, threading.local()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
         self._released = ReleasedBubbles(0.0, (), (), np.empty((0, 4)))  # of the last ping with any
@@ -124,7 +126,8 @@ class World:
     def drawing(self):
         """Have the engine ready to draw for the time of the block, in one thread at a time."""
         with self.unchanged():
-            self.thread.settle()
+            if self.thread is not None:
+                self.thread.settle()
             with self.engine.drawing() as context:
                 yield context
 
@@ -331,16 +334,20 @@ class World:
             release()
             self._users.discard(user)
             if not self._users:
-                self.thread.close()
+                self._close_thread()
                 if self.engine is not None:
                     self.engine.discard()
                 self.engine = None
         if release_waiting is not None:
             release_waiting()
 
+    def _close_thread(self) -> None:
+        if self.thread is not None:
+            self.thread.close()
+
     def forget(self, user: int) -> None:
         """Take one user less that was not closed: nothing may be drawn or released now."""
         self._users.discard(user)
         if not self._users and self.engine is not None and os.getpid() == self._process:
-            self.thread.close()
+            self._close_thread()
             self.engine.discard()

@@ -106,6 +106,23 @@ def test_a_process_that_hangs_is_replaced(job, expected, tmp_path, monkeypatch):
     assert found == {name: expected[f"parts/{name}"] for name in found} and len(found) == 6
 
 
+@pytest.mark.parametrize(
+    ("n_cores", "asked", "n_threads"), [(1, None, "1"), (4, None, "2"), (5, None, "2"), (4, "3", "3")]
+)
+def test_processes_share_the_cores(job, expected, tmp_path, monkeypatch, n_cores, asked, n_threads):
+    """Two of them, each with as many threads as leave a core to each, or as the user says."""
+    (tmp_path / "batch.json").write_bytes(expected["batch.json"])
+    monkeypatch.setattr(pool_module, "count_cores", lambda: n_cores)
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    if asked:
+        monkeypatch.setenv("NUMBA_NUM_THREADS", asked)
+    with Pool(read_job(job).plain, str(tmp_path), [None, None], print) as pool:
+        pool.call("create")
+        variables = Path(f"/proc/{pool.processes[0].pid}/environ").read_text().split("\0")
+    assert f"NUMBA_NUM_THREADS={n_threads}" in variables
+    assert os.environ.get("NUMBA_NUM_THREADS") == asked
+
+
 @pytest.mark.slow
 def test_a_batch_can_be_resumed_whatever_stopped_it(job, expected, tmp_path):
     """Killed while its store is created; a process killed, then Ctrl-C; killed itself; complete at last."""
