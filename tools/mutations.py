@@ -970,6 +970,18 @@ MUTATIONS = (
         LEVEL_SEARCH,
     ),
     Mutation(
+        "planner/bodies of a coarser view",
+        "counts & (tried.counts.samples < MAX_COMPARED_SAMPLES)",
+        "counts & (tried.counts.samples > MAX_COMPARED_SAMPLES)",
+        ("test_adaptive::test_of_a_coarser_view_those_bodies_alone_are_counted_that_it_is_compared_by",),
+    ),
+    Mutation(
+        "batch/threads of workers",
+        "max(1, count_cores() // len(devices))",
+        "count_cores()",
+        ("test_runs::test_processes_share_the_cores",),
+    ),
+    Mutation(
         "planner/a plan that is not met",
         "met=all(plan.met for plan in plans)",
         "met=any(plan.met for plan in plans)",

@@ -1528,7 +1528,7 @@ def test_of_a_coarser_view_those_bodies_alone_are_counted_that_it_is_compared_by
             echo = coarser.beamformer.sum_view(view, setup.gain)
             whole = model.tried(coarser, view, echo)
             found = model.tried(coarser, view, echo, np.array([False, False, True]))
-            other = whole._replace(counts=whole.counts._replace(echo=2 * whole.counts.echo))
+            other = whole._replace(counts=whole.counts._replace(echo=whole.counts.echo * [1, 1, 2]))
             assert model.judge(setup, 14, tried, whole) == judged
             assert (
                 model.judge(setup, 14, tried, other).plan.worst_body_estimate
