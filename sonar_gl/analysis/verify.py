@@ -213,7 +213,7 @@ def _difference_panel(v: Verification, height: int) -> _Panel:
     return _Panel(
         draw_axes(np.rint(255 * colour.clip(0, 1)).astype(np.uint8), v.ping),
         f"difference: {100 * v.error:.2g} % of the echo",
-        f"red too much, blue too little; in full at {limit:.1e}, percentile {COLOUR_PERCENTILE}",
+        f"red too much, blue too little; full colour from {limit:.1e} on",
     )
 
 
