@@ -17,6 +17,16 @@ from sonar_gl.core.extras import missing_extra
 from sonar_gl.sonar.fan import SURFACE_MARGIN_M
 
 
+def embree_classes() -> tuple[type, type]:
+    """Return Embree's classes EmbreeScene and TriangleMesh, or raise Error where Embree is missing."""
+    try:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+    except ImportError:
+        raise missing_extra("reference", "the reference needs Embree (got no module embreex)") from None
+    return EmbreeScene, TriangleMesh
+
+
 class Aperture(NamedTuple):
     """The directions of the rays: azimuths from `start_rad`, `span_rad` wide; sine of the highest elevation.
 
@@ -132,12 +142,7 @@ class RayScene:
     """
 
     def __init__(self, scene, pose, specular: bool = False):
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError:
-            why = "the reference needs Embree (got no module embreex)"
-            raise missing_extra("reference", why) from None
+        EmbreeScene, TriangleMesh = embree_classes()
         self._embree = EmbreeScene(robust=True)  # no ray passes between two adjacent triangles
         self._meshes = []  # Embree holds no reference to them
         self._water_surface = None  # its normal and offset, if the sonar is below it

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.analysis.rays import embree_classes
 from sonar_gl.analysis.reference import AGREEMENT, MIN_BODY_SHARE, reference_ping
 from sonar_gl.imaging.axes import draw_axes
 from sonar_gl.imaging.fan_image import colorize, fan_image
@@ -129,6 +130,7 @@ def verify(
     Error
         as `Simulator` and `reference_ping` do.
     """
+    embree_classes()  # refused before the first ping, which compiles for minutes in a new installation
     with Simulator(scene, sonar, acoustics, sampling, tolerance) as simulator:
         ping = simulator.ping(pose, labels=True)
         times_s = []
@@ -213,7 +215,7 @@ def _difference_panel(v: Verification, height: int) -> _Panel:
     return _Panel(
         draw_axes(np.rint(255 * colour.clip(0, 1)).astype(np.uint8), v.ping),
         f"difference: {100 * v.error:.2g} % of the echo",
-        f"red too much, blue too little; in full at {limit:.1e}, percentile {COLOUR_PERCENTILE}",
+        f"red too much, blue too little; full colour from {limit:.1e} on",
     )
 
 

@@ -47,6 +47,7 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.ping import Ping
+from sonar_gl.scene.extent import body_around
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning
 
@@ -241,6 +242,7 @@ class HardView(NamedTuple):
     error_estimate : estimated error with them
     body : name of the body that is nearest to its bound; empty if the whole ping is
     has_echo : whether a body returns any
+    around : name of the body that the sonar is in, or below if it is a terrain; empty if there is none
     """
 
     number: int
@@ -249,13 +251,15 @@ class HardView(NamedTuple):
     error_estimate: float
     body: str
     has_echo: bool
+    around: str
 
 
 def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardView]:
     """Choose the samples of SURVEYED pings spread over those of a scene, and return what they need."""
     requests, found = batch.requests, []
     spread = [requests[number] for number in _spread_numbers(requests, scene, SURVEYED)]
-    bodies = ["", *(body.name for body in requests.scene(scene).bodies)]
+    scene_bodies = requests.scene(scene).bodies
+    bodies = ["", *(body.name for body in scene_bodies)]
     with ExitStack() as stack, collected_warnings(ToleranceWarning):  # the estimates say so
         for name, simulator in _open_simulators(batch, scene, stack).items():
             run, mount = simulator.run, requests.mounts[name]
@@ -266,7 +270,9 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
                     has_echo = tried.echo.total > 0
                 decides = plan.worst_body_estimate / WORST_BODY > plan.error_estimate
                 body, n_samples = bodies[plan.worst_body * decides], plan.n_samples
-                found.append(HardView(request.number, name, n_samples, plan.bound, body, has_echo))
+                place, state = (request.vehicle_pose @ mount)[:3, 3], setup.state
+                around = body_around(scene_bodies, state.poses, state.present, place)
+                found.append(HardView(request.number, name, n_samples, plan.bound, body, has_echo, around))
     return found
 
 

@@ -350,6 +350,14 @@ def _views_text(size: str, views: list[HardView], requests: BatchRequests) -> li
             f"  {len(silent)} of these {len(views)} pings {verb} no echo, such as ping {first.number}, sonar at "
             f"{_pose_text(pose)} ('sonar-gl render --pose' says why)"
         )
+    enclosed = [view for view in views if view.around]
+    if enclosed:
+        first, verb = enclosed[0], "has" if len(enclosed) == 1 else "have"
+        pose = requests[first.number].vehicle_pose @ requests.mounts[first.sonar]
+        lines.append(
+            f"  {len(enclosed)} of these {len(views)} pings {verb} the sonar in a body or below a floor, such as ping "
+            f"{first.number}, sonar at {_pose_text(pose)}, in or below {first.around!r}"
+        )
     return lines
 
 

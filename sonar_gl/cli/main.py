@@ -66,6 +66,25 @@ class CommandGroup(click.Group):
                 echo(f"error: {message}", err=True)
             ctx.exit(status)
 
+    def resolve_command(self, ctx, args):
+        """Return what click finds; raise Error for a --pose without quotes, of which click takes one number alone."""
+        for word, *numbers in zip(args, args[1:], args[2:], strict=False):
+            if word == "--pose" and all(map(_is_number, numbers)):
+                got = " ".join(numbers)
+                raise Error(
+                    f'--pose must be 6 numbers in quotes: --pose "x y z roll pitch yaw" (got {got} ...)'
+                )
+        return super().resolve_command(ctx, args)
+
+
+def _is_number(word: str) -> bool:
+    """Return whether a word is a number, which a comma may follow."""
+    try:
+        float(word.removesuffix(","))
+    except ValueError:
+        return False
+    return True
+
 
 def _check_threads() -> None:
     """Raise Error for a number of threads with which Numba cannot be imported."""

@@ -326,6 +326,12 @@ def eight_bit(picture: np.ndarray, what: str) -> np.ndarray:
 
     Raises Error, which begins with `what`, if the picture has another shape or type, or is not finite.
     """
+    if picture.dtype == object and not picture.ndim:
+        kind, cure = (
+            type(picture.item()).__name__,
+            "sonar_gl.colorize(sonar_gl.fan_image(ping)) makes one of a ping",
+        )
+        raise Error(f"{what} must be an array, (H, W) or (H, W, 3) RGB (got {kind}; {cure})")
     if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or not picture.size:
         raise Error(f"{what} must have shape (H, W) or (H, W, 3) RGB (got {picture.shape})")
     if picture.dtype.kind == "f":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -10,6 +10,9 @@ from sonar_gl.scene.primitives import INFINITE_PLANE_M
 from sonar_gl.scene.scene import Body, Scene
 
 PLANE_FACES = 18  # of an infinite plane
+# A line up from a place passes so far beside corners and edges of meshes, x and y in metres: in the middle of a box it
+# would meet the edge between two triangles.
+BESIDE_M = 1.3e-6, 0.7e-6
 LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long; what is as long and as high is in other units
 
 
@@ -33,6 +36,42 @@ def bounds_of(bodies: Iterable[Body]) -> np.ndarray | None:
     if not bounds:
         return None
     return np.array([np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]])
+
+
+def body_around(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, place: np.ndarray) -> str:
+    """Return the name of the first body that a place lies in, or below if it is a terrain; "" if there is none.
+
+    A line straight up from there leaves such a body through more faces that look up than it enters through faces that
+    look down. A mesh that is inside out, such as the walls of a tank, holds no place.
+
+    Parameters
+    ----------
+    poses : (n, 4, 4) world_from_body
+    present : (n,) bool
+    place : (3,) x, y, z in the world, metres
+    """
+    for body, pose, is_present in zip(bodies, poses, present, strict=True):
+        if not is_present:
+            continue
+        corners = np.asarray(body.surface.vertices, np.float64) @ pose[:3, :3].T + (pose[:3, 3] - place)
+        corners[:, :2] += BESIDE_M
+        if (corners.max(axis=0) < 0).any() or (corners.min(axis=0)[:2] > 0).any():
+            continue
+        a, b, c = (corners[body.surface.faces[:, k]] for k in range(3))
+        # twice the areas of the triangles between the line and each edge, as seen from above
+        sides = np.stack([_cross(a, b), _cross(b, c), _cross(c, a)])
+        way = np.where((sides > 0).all(axis=0), 1, np.where((sides < 0).all(axis=0), -1, 0))
+        met = np.flatnonzero(way)
+        (bc, ca, ab), corner_z = sides[[1, 2, 0]][:, met], (a[met, 2], b[met, 2], c[met, 2])
+        is_above = np.sign(ab + bc + ca) * (bc * corner_z[0] + ca * corner_z[1] + ab * corner_z[2]) > 0
+        if way[met][is_above].sum() > 0:
+            return body.name
+    return ""
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return (n,) the z of the cross products of (n, 3) vectors."""
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def air_text(scene: Scene, pose: np.ndarray) -> str:

@@ -123,6 +123,27 @@ def test_a_dry_run_tells_of_pings_without_an_echo(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_dry_run_tells_of_a_sonar_in_a_body(tmp_path, monkeypatch):
+    """The mount lifts the second ping out of the box, which the job has moved away from the third."""
+    monkeypatch.chdir(tmp_path)
+    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}{BOX}</world></sdf>')
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text(
+        "t,x,y,z,roll,pitch,yaw\n0,-2,0.5,-0.2,0,0,0\n1,-2,0.5,0,0,0,0\n2,3,0.5,-0.2,0,0,0\n"
+    )
+    job = 'scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\nmount = [0, 0, 0.2, 0, 0, 0]\n'
+    moved = '[[vary.bodies]]\nnames = ["box"]\nx_m = -5\n'
+    Path("job.toml").write_text(job + POSES + moved)
+    status, out, _ = run("batch", "job.toml", "--dry-run", "--workers", "1")
+    assert status == 0
+    (line,) = [line for line in out.splitlines() if "in a body" in line]
+    assert line == (
+        "  1 of these 3 pings has the sonar in a body or below a floor, such as ping 0, sonar at "
+        "'-2 0.5 0 0 0 0', in or below 'box'"
+    )
+
+
+@pytest.mark.slow
 def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     wall = WALL.replace("1 20 20", "1000 200 500")

@@ -768,6 +768,17 @@ def test_poses_that_make_no_sense():
     )
 
 
+@pytest.mark.parametrize("command", [("render",), ("plan",), ("ros2",), ("emulate", "oculus")])
+@pytest.mark.parametrize(
+    "words", [("1", "2", "3", "0", "0", "0"), ("-4", "1", "-6", "0", ".3", "0"), ("-1e1,", "0")]
+)
+def test_a_pose_without_quotes(command, words):
+    """The second number was "unexpected extra argument", or, below zero, "no such option"."""
+    must = 'error: --pose must be 6 numbers in quotes: --pose "x y z roll pitch yaw"'
+    message = f"{must} (got {words[0]} {words[1]} ...)\n"
+    assert run(*command, "pylon", "--pose", *words) == (2, "", message)
+
+
 def test_sonar_files_that_make_no_sense():
     for change, message in (
         (

@@ -1,0 +1,65 @@
+"""What bodies a place lies in, or below."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import sonar_gl as sg
+from sonar_gl.scene.extent import body_around
+from sonar_gl.scene.primitives import plane
+from tests.support.worlds import terrain
+
+BALL = sg.Body("ball", trimesh.creation.icosphere(2, 1.0), sg.pose(5, 0, 0))
+
+
+def around(bodies, place, poses=None, present=None):
+    """The name of the body about a place, in bodies where they are."""
+    poses = [body.pose for body in bodies] if poses is None else poses
+    present = [True] * len(bodies) if present is None else present
+    return body_around(bodies, np.asarray(poses), np.asarray(present), np.asarray(place, float))
+
+
+@pytest.mark.parametrize(
+    ("place", "found"),
+    [((5, 0, 0), "ball"), ((5.5, 0, 0.5), "ball"), ((5, 0, 1.5), ""), ((5, 0, -1.5), ""), ((0, 0, 0), "")],
+)
+def test_a_place_in_a_closed_body(place, found):
+    """In its middle, where the line straight up meets a corner of the mesh; beside the middle; above; below; aside."""
+    assert around([BALL], place) == found
+
+
+def test_a_body_moved_and_a_body_absent():
+    moved = [sg.pose(0, 0, 0, roll=1.0)]
+    assert around([BALL], (0, 0, 0.3), moved) == "ball"
+    assert around([BALL], (5, 0, 0.3), moved) == ""
+    assert around([BALL], (0, 0, 0.3), moved, [False]) == ""
+
+
+def test_a_place_between_a_body_and_its_upright_half_open_shell():
+    """An open cup with normals outwards: its inside is water, and so is the place below it."""
+    cup = trimesh.creation.box((2, 2, 2))
+    cup.update_faces(cup.face_normals[:, 2] < 0.5)
+    cup = sg.Body("cup", cup)
+    assert not cup.mesh.is_watertight
+    assert [around([cup], (0, 0, z)) for z in (2.0, 0.0, -2.0)] == ["", "", ""]
+
+
+def test_a_place_below_a_floor():
+    """Planes and terrains look up; a place beside a terrain is not below it."""
+    flat = sg.Body("flat", plane().mesh.to_trimesh(), sg.pose(z=-3))
+    assert [around([flat], (7, -4, z)) for z in (-2.9, -3.1)] == ["", "flat"]
+    hills = sg.Body("hills", terrain(np.random.default_rng(1), 10.0, 1.0, 21), sg.pose(z=-8))
+    low, high = hills.mesh.bounds[:, 2] - 8
+    assert around([hills], (0.3, 0.2, low - 0.1)) == "hills"
+    assert around([hills], (0.3, 0.2, high + 0.1)) == around([hills], (30, 0, low - 0.1)) == ""
+
+
+def test_the_first_of_several_bodies_is_named():
+    other = sg.Body("other", trimesh.creation.box((4, 4, 4)), sg.pose(5, 0, 0))
+    assert around([BALL, other], (5, 0, 0)) == "ball" and around([BALL, other], (5, 0, 1.5)) == "other"
+
+
+def test_far_from_the_origin_as_in_utm():
+    utm = sg.pose(500_000, 5_600_000, 0)
+    assert around([BALL], utm[:3, 3] + [0, 0, 0.9], [utm]) == "ball"
+    assert around([BALL], utm[:3, 3] + [0, 0, 1.1], [utm]) == ""
