@@ -41,7 +41,7 @@ from sonar_gl.batch.store import (
 )
 from sonar_gl.batch.system import System, processor
 from sonar_gl.core.errors import Error, is_out_of_memory
-from sonar_gl.core.warn import collected_warnings
+from sonar_gl.core.warn import CollectedWarning, collected_warnings
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
@@ -260,9 +260,10 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
     spread = [requests[number] for number in _spread_numbers(requests, scene, SURVEYED)]
     scene_bodies = requests.scene(scene).bodies
     bodies = ["", *(body.name for body in scene_bodies)]
-    with ExitStack() as stack, collected_warnings(ToleranceWarning):  # the estimates say so
+    with ExitStack() as stack:
         for name, simulator in _open_simulators(batch, scene, stack).items():
             run, mount = simulator.run, requests.mounts[name]
+            warned = stack.enter_context(collected_warnings())
             for request in spread:
                 setup = run.set_up(request.for_sonar(mount))
                 with run.drawing():
@@ -273,7 +274,15 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
                 place, state = (request.vehicle_pose @ mount)[:3, 3], setup.state
                 around = body_around(scene_bodies, state.poses, state.present, place)
                 found.append(HardView(request.number, name, n_samples, plan.bound, body, has_echo, around))
+            for warning in warned:
+                if not issubclass(warning.category, ToleranceWarning):  # the estimates say so
+                    report("warning", _placed(warning, batch, scene, name))
     return found
+
+
+def _placed(warning: CollectedWarning, batch: Batch, scene: int, sonar: str) -> str:
+    """Return the text of a warning with the sonar and the scene of which it is."""
+    return f"warning: {sonar} in {batch.requests.job.scenes[scene]}: {warning.text}"
 
 
 def finalize(batch: Batch, report: Report = no_report) -> None:
@@ -527,9 +536,8 @@ class PartMaker:
         """
         with collected_warnings() as found:
             ping = make()
-        place = f"{sonar} in {self._batch.requests.job.scenes[scene]}"
         for warning in found if ping.meta["has_echo"] else ():
-            text = f"warning: {place}: {warning.text}"
+            text = _placed(warning, self._batch, scene, sonar)
             if issubclass(warning.category, ToleranceWarning):
                 if (scene, sonar) in self._unmet:
                     continue

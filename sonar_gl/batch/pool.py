@@ -29,6 +29,7 @@ STALL_S = 900.0  # a process that is silent for longer is taken to hang
 MAX_DEATHS = 2  # at a ping, after which it is set aside
 MAX_UNEXPLAINED_DEATHS = 5  # at one part while no ping was being made
 MAX_DEATHS_IN_STEP = 3  # of processes that begin, create or finalize
+LAST_WARNINGS = 100  # none of which is passed on once more
 # The software driver, like other libraries, would otherwise use all cores in every process.
 ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # A killed process leaks resources, which the tracker frees; its warning would only confuse.
@@ -260,6 +261,7 @@ class Pool:
         self._again = "" if is_dry_run else " by --resume"
         self.processes: dict[int, Process] = {}
         self.warn, self.stopping = warn, False
+        self._warned = deque(maxlen=LAST_WARNINGS)
 
     def __enter__(self):
         return self
@@ -362,7 +364,9 @@ class Pool:
     def _handle(self, kind: str, value) -> None:
         """Pass on a warning, or raise an error, that a process reports."""
         if kind == "warning":
-            self.warn(value)
+            if value not in self._warned:  # other processes, and other steps, have simulators of their own
+                self._warned.append(value)
+                self.warn(value)
         elif kind == "of files":
             warn_caller(value)  # which a command shows once, whatever the number of processes
         else:

@@ -144,6 +144,21 @@ def test_a_dry_run_tells_of_a_sonar_in_a_body(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_dry_run_says_once_and_of_which_sonar_what_a_survey_warns_of(tmp_path, monkeypatch):
+    """The survey's process showed the text once more, without the sonar and the scene."""
+    monkeypatch.chdir(tmp_path)
+    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}</world></sdf>')
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text(POSE_ROWS)
+    job = 'scenes = ["tank.sdf"]\nsurface_z_m = -1\n[[sonars]]\nname = "head"\nsonar = "small.toml"\n'
+    Path("job.toml").write_text(job + POSES)
+    status, _, err = run("batch", "job.toml", "--dry-run", "--workers", "1")
+    assert status == 0
+    (line,) = [line for line in err.splitlines() if "above the water's surface" in line]
+    assert line.startswith("warning: head in tank.sdf: the sonar at z = ")
+
+
+@pytest.mark.slow
 def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     wall = WALL.replace("1 20 20", "1000 200 500")
