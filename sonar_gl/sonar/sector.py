@@ -35,6 +35,20 @@ MAX_SHEAR = 0.2487
 MAX_CONE_RAD, MAX_AZIMUTH_RAD = math.radians(84.0), math.radians(86.0)
 
 
+class Uprights(NamedTuple):
+    """P upright strips of a sector by rising u, side by side, so that each row of samples is divided between them.
+
+    middle : (P,) float64, u of their middles
+    end : (P + 1,) float64, where they end, from 0 where the first one begins
+    """
+
+    middle: np.ndarray
+    end: np.ndarray
+
+
+NO_UPRIGHTS = Uprights(np.empty(0), np.empty(0))
+
+
 @dataclass(frozen=True, eq=False)
 class Strips:
     """The P strips of a sector's image plane, by rising azimuth or, of cones, by column.
@@ -59,6 +73,13 @@ class Strips:
     are_cones: bool = False
 
     @cached_property
+    def uprights(self) -> Uprights:
+        """The strips by rising u; none if they are cones."""
+        if self.are_cones:
+            return NO_UPRIGHTS
+        return Uprights(self.middle[::-1].copy(), np.append(0.0, np.cumsum(self.width[::-1])))
+
+    @cached_property
     def sines(self) -> tuple[float, float]:
         """Sines k between which cones lie; of upright strips minus infinity and infinity."""
         if not self.are_cones:
@@ -66,11 +87,6 @@ class Strips:
         if not len(self.middle):
             return math.inf, -math.inf
         return float((self.middle - self.width / 2).min()), float((self.middle + self.width / 2).max())
-
-    @cached_property
-    def by_u(self) -> tuple[np.ndarray, np.ndarray]:
-        """The middles of upright strips, (P,) and rising, and (P + 1,) where they end, the first at 0."""
-        return self.middle[::-1].copy(), np.append(0.0, np.cumsum(self.width[::-1]))
 
 
 @dataclass(frozen=True, eq=False)
