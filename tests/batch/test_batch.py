@@ -762,7 +762,11 @@ def test_a_survey_says_what_decides_the_samples_of_each_ping(tmp_path, monkeypat
         warnings.simplefilter("error")
         found = parts.survey(batch, 0)
     one, other, *_ = (body.name for body in batch.requests.scene(0).bodies)
-    expected = [(100, 0.04, "", False), (200, 0.02, one, True), (300, pytest.approx(0.12), other, True)]
+    expected = [
+        (100, 0.04, "", False, ""),
+        (200, 0.02, one, True, ""),
+        (300, pytest.approx(0.12), other, True, ""),
+    ]
     sonars = list(batch.requests.sonars)
     assert found == [(number, name, *view) for name in sonars for number, view in enumerate(expected)]
     mounts = batch.requests.mounts.values()
