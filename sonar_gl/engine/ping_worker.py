@@ -8,7 +8,7 @@ from threading import Lock
 import numba
 
 from sonar_gl.core.cores import count_cores
-from sonar_gl.core.worker import Job, JobThread, held
+from sonar_gl.core.worker import STEP_BACK, Job, JobThread
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.multipath import ImageSources
@@ -57,7 +57,7 @@ class PingWorker:
         """
 
         def make() -> list[ReceivedPing]:
-            with held(self._making):  # a caller that settles the job runs it, perhaps beside this thread
+            with self._making, STEP_BACK:  # a caller that settles the job runs it, perhaps beside this thread
                 images = self._images_in(scene)
                 if resolution.stage.sampling != self._sampling:
                     self._stages.drop_large()  # of finer samples
@@ -74,7 +74,7 @@ class PingWorker:
         """
 
         def make() -> list[ReceivedPing]:
-            with held(self._making):
+            with self._making, STEP_BACK:
                 images = self._images_in(scene)
                 if self._search is None:
                     self._search = LevelSearch(self._stages, self._tolerance, self._gain)
