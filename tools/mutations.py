@@ -1582,6 +1582,12 @@ MUTATIONS = (
         ("test_adaptive",),
     ),
     Mutation(
+        "sequence/pings by the caller",
+        "if jobs[0].is_over:",
+        "if True:",
+        ("test_sequence",),
+    ),
+    Mutation(
         "sequence/small pings",
         "self.are_small = not has_more and view.n_samples < FEW_SAMPLES",
         "self.are_small = False",

@@ -124,31 +124,34 @@ def _serve(queue: SimpleQueue) -> None:
     while (job := queue.get()) is not None:
         job.begin()
         job = None
-    queue.put(None)  # for a second thread, which an interrupted start may leave
+    queue.put(None)  # for the next thread; an interrupted start may leave one more
 
 
-class JobThread:
-    """A thread that does jobs in turn, started with the first. A queue takes half the time of an executor.
+class JobThreads:
+    """Threads that do jobs in turn, started with the first. A queue takes half the time of an executor.
 
     Parameters
     ----------
-    name : of the thread
+    name : of each thread
+    count : how many there are
     """
 
-    def __init__(self, name: str):
-        self._name, self._queue, self._starting, self._is_started = name, SimpleQueue(), Lock(), False
+    def __init__(self, name: str, count: int = 1):
+        self._name, self._count, self._queue, self._is_started = name, count, SimpleQueue(), False
+        self._starting = Lock()
 
     def submit(self, job: Job) -> None:
         """Hand a job over. If that is interrupted, `Job.settle` still has the job done, once."""
         if not self._is_started:
             with self._starting, STEP_BACK:
                 if not self._is_started:
-                    Thread(target=_serve, args=(self._queue,), name=self._name, daemon=True).start()
+                    for _ in range(self._count):
+                        Thread(target=_serve, args=(self._queue,), name=self._name, daemon=True).start()
                     self._is_started = True
         self._queue.put(job)
 
     def close(self) -> None:
-        """End the thread after the jobs that it has; a second call does nothing."""
+        """End the threads after the jobs that they have; a second call does nothing."""
         self._queue.put(None)
 
     def __del__(self):
@@ -163,7 +166,7 @@ class SecondThread:
     """
 
     def __init__(self):
-        self._thread, self._is_closed, self._abandoned = JobThread("sonar_gl second half"), False, []
+        self._thread, self._is_closed, self._abandoned = JobThreads("sonar_gl second half"), False, []
 
     def run_halves(self, work: Callable[[int], object]) -> tuple:
         """Return (work(0), work(1)); the thread runs the second, or the caller does if the thread is busy.

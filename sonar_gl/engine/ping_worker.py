@@ -1,4 +1,4 @@
-"""Threads that each make whole pings of a sequence, where drawing needs no context."""
+"""What makes whole pings of a sequence beside others, where drawing needs no context."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from threading import Lock
 import numba
 
 from sonar_gl.core.cores import count_cores
-from sonar_gl.core.worker import STEP_BACK, Job, JobThread
+from sonar_gl.core.worker import STEP_BACK, Job
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.multipath import ImageSources
@@ -19,11 +19,10 @@ from sonar_gl.engine.world import IN_USE
 from sonar_gl.scene.scene import Scene
 
 MAX_WORKERS = 8  # beyond this Python's own share of a ping, about a tenth of a millisecond, is the limit
-NAME = "sonar_gl ping"  # of the threads
 
 
 def n_threads() -> int:
-    """Return how many threads make pings: one for each core that this process may use, or NUMBA_NUM_THREADS."""
+    """Return how many threads make pings, the caller's too: one for each core of this process, or NUMBA_NUM_THREADS."""
     count = numba.config.NUMBA_NUM_THREADS
     if count == numba.config.NUMBA_DEFAULT_NUM_THREADS:  # it knows of no share of time, as of containers
         count = count_cores()
@@ -31,7 +30,7 @@ def n_threads() -> int:
 
 
 class PingWorker:
-    """A thread that makes pings, one after the other, with arrays of its own.
+    """Makes pings, one after the other, with arrays of its own, in any thread.
 
     A ping's two halves are done in turn, so that the ping is that of `Simulator.ping` to the last bit.
 
@@ -46,10 +45,10 @@ class PingWorker:
             self._images = ImageSources(self._stages, None, world.scene, run.tolerance)
         self._sampling = self._search = None
         self._tolerance, self._gain = run.tolerance, run.instrument.gain
-        self._thread, self._making = JobThread(NAME), Lock()
+        self._making = Lock()
 
     def job(self, setup: PingSetup, resolution: Resolution, scene: Scene) -> Job:
-        """Return a job that makes one ping; hand it over by `submit`.
+        """Return a job that makes one ping.
 
         Parameters
         ----------
@@ -57,7 +56,7 @@ class PingWorker:
         """
 
         def make() -> list[ReceivedPing]:
-            with self._making, STEP_BACK:  # a caller that settles the job runs it, perhaps beside this thread
+            with self._making, STEP_BACK:  # another thread may make another ping of this worker
                 images = self._images_in(scene)
                 if resolution.stage.sampling != self._sampling:
                     self._stages.drop_large()  # of finer samples
@@ -87,12 +86,3 @@ class PingWorker:
         if self._images is not None:
             self._images.use_scene(scene)
         return self._images
-
-    def submit(self, job: Job) -> None:
-        """Have the thread do a job."""
-        self._thread.submit(job)
-
-    def close(self) -> None:
-        """End the thread after the jobs that it has; a later job starts another."""
-        self._thread.close()
-        self._thread = JobThread(NAME)

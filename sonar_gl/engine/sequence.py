@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.core.worker import Job, JobThread
+from sonar_gl.core.worker import Job, JobThreads
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing
 from sonar_gl.engine.ping_worker import PingWorker, n_threads
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
@@ -194,7 +194,7 @@ class _ReceiverThread:
     most, ahead, can_choose, gain = BATCH, 1, False, True
 
     def __init__(self, run: Run):
-        self._run, self._thread = run, JobThread("sonar_gl receiver")
+        self._run, self._thread = run, JobThreads("sonar_gl receiver")
 
     def start(self, batch: _Batch) -> Job:
         """Draw some pings, and begin to receive them; inside `drawing`."""
@@ -204,27 +204,34 @@ class _ReceiverThread:
         self._thread.submit(job)
         return job
 
+    def help_with(self, jobs: Sequence[Job]) -> None:
+        """Do nothing: these jobs are done one at a time."""
+
     def close(self) -> None:
         """End the thread."""
         self._thread.close()
 
 
 class _PingThreads:
-    """Threads each make their own pings, without a context; attributes as of `_ReceiverThread`."""
+    """Threads each make their own pings, without a context; attributes as of `_ReceiverThread`.
+
+    The caller is one of them while it waits: one more would take its core in turns with it.
+    """
 
     most, can_choose = 1, True
 
     def __init__(self, run: Run):
-        self._run, self._number, self._workers = run, 0, []
-        self._n_threads = n_threads()
-        self.ahead, self.gain = 2 * self._n_threads - 1, self._n_threads > 1
+        n = n_threads()
+        self._run, self._number, self._workers, self._n_workers = run, 0, [], n
+        self._threads = JobThreads("sonar_gl ping", n - 1)
+        self.ahead, self.gain = 2 * n - 1, n > 1
 
     def start(self, batch: _Batch) -> Job:
-        """Begin to make the only ping of a batch, by the threads in turn; inside `drawing`."""
+        """Begin to make the only ping of a batch, by the workers in turn; inside `drawing`."""
         run = self._run
         if not self._workers:
-            self._workers = run.take_workers(self._n_threads, partial(PingWorker, run))
-        worker = self._workers[self._number % self._n_threads]
+            self._workers = run.take_workers(self._n_workers, partial(PingWorker, run))
+        worker = self._workers[self._number % self._n_workers]
         self._number += 1
         (ping,) = batch.pings
         if batch.is_apart:
@@ -232,13 +239,19 @@ class _PingThreads:
         else:
             job = worker.job(ping.setup, run.resolution_ahead, run.world.scene)
         run.await_job(job)
-        worker.submit(job)
+        self._threads.submit(job)
         return job
 
+    def help_with(self, jobs: Sequence[Job]) -> None:
+        """Make pings that no other thread has begun, until the first of all has been made."""
+        for job in jobs:
+            if jobs[0].is_over:
+                break
+            job.begin()
+
     def close(self) -> None:
-        """End the threads; the next sequence goes on with their stages."""
-        for worker in self._workers:
-            worker.close()
+        """End the threads; the next sequence goes on with the stages of the workers."""
+        self._threads.close()
         self._run.keep_workers(self._workers)
 
 
@@ -279,6 +292,7 @@ def _make_ahead(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
             if must_wait and not in_flight:
                 yield _make_here(run, upcoming)
             while in_flight and (must_wait or len(in_flight) > threads.ahead):
+                threads.help_with([started.job for started in in_flight])
                 yield from _finish_first(run, upcoming, in_flight)
     finally:
         threads.close()

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.core.worker import JobThread
+from sonar_gl.core.worker import JobThreads
 from sonar_gl.engine import ping_worker, pipeline, sequence, world
 from sonar_gl.engine.run import Run
 from sonar_gl.ping import BIN_LABELS
@@ -523,7 +523,7 @@ def test_a_call_in_the_middle_of_a_ping_of_a_sequence_raises_an_error(it, monkey
 
     for module in (ping_worker, pipeline, sequence):
         monkeypatch.setattr(module, "receive", receive_and_call)
-    monkeypatch.setattr(JobThread, "submit", lambda *_: None)  # the caller makes all of them
+    monkeypatch.setattr(JobThreads, "submit", lambda *_: None)  # the caller makes all of them
     for ping, right in zip(it.pings(POSES), expected, strict=True):
         np.testing.assert_array_equal(ping.intensity, right)
     assert len(messages) == len(POSES)
@@ -535,7 +535,7 @@ def test_a_call_in_the_middle_of_a_ping_of_a_sequence_raises_an_error(it, monkey
 def test_an_interrupt_while_pings_are_handed_over_leaves_later_pings_right(it, monkeypatch, where):
     """An executor of the standard library forgets a thread whose start is interrupted: it went on summing."""
     expected = [ping.intensity for ping in it.pings(POSES)]
-    owner = threading.Thread if where == "start" else JobThread
+    owner = threading.Thread if where == "start" else JobThreads
     original = getattr(owner, where)
 
     def interrupted(self, *arguments):
@@ -766,7 +766,7 @@ def test_pings_that_nobody_took_change_no_later_one():
 
 def test_a_body_that_another_simulator_adds_waits_for_the_pings_that_are_being_made(monkeypatch):
     """They have the scene as it was, in which compiled code would look for that body outside of arrays."""
-    monkeypatch.setattr(JobThread, "submit", lambda thread, job: None)  # a busy thread, which begins no job
+    monkeypatch.setattr(JobThreads, "submit", lambda thread, job: None)  # a busy thread, which begins no job
     scene = sg.Scene(BODIES, surface_z_m=3.0)
     with (
         sg.Simulator(scene, SONAR, sg.Acoustics.ideal(), SAMPLING, engine="cpu") as one,
@@ -802,7 +802,7 @@ def test_a_body_that_another_simulator_adds_in_the_middle_of_a_ping_raises_an_er
 
         for module in (ping_worker, pipeline, sequence):
             monkeypatch.setattr(module, "receive", receive_and_add)
-        monkeypatch.setattr(JobThread, "submit", lambda *_: None)  # the caller makes all of them
+        monkeypatch.setattr(JobThreads, "submit", lambda *_: None)  # the caller makes all of them
         for ping, right in zip(one.pings(POSES), expected, strict=True):
             np.testing.assert_array_equal(ping.intensity, right)
         assert len(one.scene.bodies) == len(BODIES)
@@ -938,3 +938,33 @@ def test_one_core_has_no_thread_make_pings(handed_over, monkeypatch):
         for pose, ping in zip(POSES, it.pings(POSES, labels=True), strict=True):
             check_same(ping, it.ping(pose, labels=True))
     assert handed_over == []
+
+
+# ---- who makes pings ------------------------------------------------------------------------------------
+
+
+def test_the_caller_makes_pings_while_it_waits_for_the_first(it, monkeypatch):
+    monkeypatch.setattr(sequence, "n_threads", lambda: 2)
+    expected, receive, has_made = [it.ping(pose) for pose in POSES], pipeline.receive, threading.Event()
+
+    def wait_for_the_caller(drawn):
+        if threading.current_thread() is threading.main_thread():
+            has_made.set()
+        else:
+            assert has_made.wait(60)
+        return receive(drawn)
+
+    monkeypatch.setattr(ping_worker, "receive", wait_for_the_caller)
+    for ping, other in zip(it.pings(POSES), expected, strict=True):
+        check_same(ping, other)
+    assert has_made.is_set()
+
+
+def test_threads_and_the_caller_are_as_many_as_the_cores(monkeypatch):
+    monkeypatch.setattr(sequence, "n_threads", lambda: 4)
+    with simulator(engine="cpu") as it:
+        pings = it.pings(POSES)
+        next(pings), next(pings)
+        assert sum(thread.name == "sonar_gl ping" for thread in threading.enumerate()) == 3
+        pings.close()
+        wait_until(lambda: all(thread.name != "sonar_gl ping" for thread in threading.enumerate()))
