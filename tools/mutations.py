@@ -1606,6 +1606,30 @@ MUTATIONS = (
         ("test_adaptive",),
     ),
     Mutation(
+        "sequence/pings by the caller",
+        "if jobs[0].is_over:",
+        "if True:",
+        ("test_sequence",),
+    ),
+    Mutation(
+        "sequence/small pings",
+        "self.are_small = not has_more and view.n_samples < FEW_SAMPLES",
+        "self.are_small = False",
+        ("test_sequence",),
+    ),
+    Mutation(
+        "sequence/labels of small pings",
+        "has_more = has_lobes or has_water or received.labels is not None or received.multipath is not None",
+        "has_more = has_lobes or has_water or received.multipath is not None",
+        ("test_sequence",),
+    ),
+    Mutation(
+        "sequence/look-ahead of small pings",
+        "return threads.most * (threads.ahead + 1) if is_made_here else threads.most",
+        "return threads.most",
+        ("test_sequence",),
+    ),
+    Mutation(
         "misuse/bodies placed late",
         "if world.n_changes != n_changes and n_ahead and not has_warned:",
         "if world.n_changes != n_changes and not has_warned:",

@@ -31,7 +31,7 @@ from threadpoolctl import ThreadpoolController
 from sonar_gl.acoustics.beam_pattern import FarPattern
 from sonar_gl.beamform.kernels.beams import TILE_BEAMS, BeamTiles, beam_tiles
 from sonar_gl.beamform.weights import BeamWeights
-from sonar_gl.core.worker import held
+from sonar_gl.core.worker import STEP_BACK
 
 # Largest error of the far pattern, relative to the floor and the peak of the side lobe there: 0.46 dB.
 TOLERANCE = 0.1
@@ -61,7 +61,7 @@ def _libraries() -> ThreadpoolController:
 @contextmanager
 def _one_thread():
     """Have LAPACK use one thread inside the block, which threads enter one by one."""
-    with held(_LAPACK), _libraries().limit(limits=1, user_api="blas"):
+    with _LAPACK, STEP_BACK, _libraries().limit(limits=1, user_api="blas"):
         yield
 
 

@@ -9,16 +9,10 @@ from threading import Lock, RLock, Thread
 
 from sonar_gl.core.errors import Error, closed_error
 
-
-@contextmanager
-def held(lock: Lock):
-    """Hold a lock for the time of the block; an interrupt at any line releases it.
-
-    A plain `with lock` does not release it if the interrupt comes at the step back to its own line, as from a
-    debugger or a tracer. Here that step lies before the end of the second manager, inside the first.
-    """
-    with lock, nullcontext():
-        yield
+# Beside a lock in one `with` statement, so that an interrupt at any line of the block releases the lock. A plain
+# `with lock` does not if the interrupt comes at the step back to its own line, as from a debugger or a tracer: here
+# that step lies before the end of the second manager, inside the first.
+STEP_BACK = nullcontext()
 
 
 class ThreadLock:
@@ -44,10 +38,10 @@ class ThreadLock:
     @contextmanager
     def held(self):
         """Hold the lock for the time of the block; an interrupt at any line releases it."""
-        with held(self._outer):
+        with self._outer, STEP_BACK:
             if self._inner.locked():  # by this thread
                 raise Error(self._message)
-            with held(self._inner):
+            with self._inner, STEP_BACK:
                 yield
 
     @contextmanager
@@ -61,7 +55,7 @@ class ThreadLock:
             elif self._inner.locked():
                 yield None
             else:
-                with held(self._inner):
+                with self._inner, STEP_BACK:
                     yield True
         finally:
             if is_acquired:
@@ -99,8 +93,9 @@ class Job:
 
     def settle(self) -> None:
         """Have the job done: wait for the thread that does it, or do it here if none has begun."""
-        with self._doing.held():
-            self._do()
+        if self._work is not None:  # else it has been done
+            with self._doing.held():
+                self._do()
 
     def cancel(self) -> None:
         """Have nobody begin the work from now on; `settle` then waits for a thread that has."""
@@ -129,31 +124,34 @@ def _serve(queue: SimpleQueue) -> None:
     while (job := queue.get()) is not None:
         job.begin()
         job = None
-    queue.put(None)  # for a second thread, which an interrupted start may leave
+    queue.put(None)  # for the next thread; an interrupted start may leave one more
 
 
-class JobThread:
-    """A thread that does jobs in turn, started with the first. A queue takes half the time of an executor.
+class JobThreads:
+    """Threads that do jobs in turn, started with the first. A queue takes half the time of an executor.
 
     Parameters
     ----------
-    name : of the thread
+    name : of each thread
+    count : how many there are
     """
 
-    def __init__(self, name: str):
-        self._name, self._queue, self._starting, self._is_started = name, SimpleQueue(), Lock(), False
+    def __init__(self, name: str, count: int = 1):
+        self._name, self._count, self._queue, self._is_started = name, count, SimpleQueue(), False
+        self._starting = Lock()
 
     def submit(self, job: Job) -> None:
         """Hand a job over. If that is interrupted, `Job.settle` still has the job done, once."""
         if not self._is_started:
-            with held(self._starting):
+            with self._starting, STEP_BACK:
                 if not self._is_started:
-                    Thread(target=_serve, args=(self._queue,), name=self._name, daemon=True).start()
+                    for _ in range(self._count):
+                        Thread(target=_serve, args=(self._queue,), name=self._name, daemon=True).start()
                     self._is_started = True
         self._queue.put(job)
 
     def close(self) -> None:
-        """End the thread after the jobs that it has; a second call does nothing."""
+        """End the threads after the jobs that they have; a second call does nothing."""
         self._queue.put(None)
 
     def __del__(self):
@@ -168,7 +166,7 @@ class SecondThread:
     """
 
     def __init__(self):
-        self._thread, self._is_closed, self._abandoned = JobThread("sonar_gl second half"), False, []
+        self._thread, self._is_closed, self._abandoned = JobThreads("sonar_gl second half"), False, []
 
     def run_halves(self, work: Callable[[int], object]) -> tuple:
         """Return (work(0), work(1)); the thread runs the second, or the caller does if the thread is busy.

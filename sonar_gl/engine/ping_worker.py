@@ -1,11 +1,11 @@
-"""Threads that each make whole pings of a sequence, where drawing needs no context."""
+"""What makes whole pings of a sequence beside others, where drawing needs no context."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from threading import Lock
 
-from sonar_gl.core.worker import Job, JobThread, held
+from sonar_gl.core.worker import STEP_BACK, Job
 from sonar_gl.engine.flow import PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.multipath import ImageSources
@@ -15,11 +15,9 @@ from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import IN_USE
 from sonar_gl.scene.scene import Scene
 
-NAME = "sonar_gl ping"  # of the threads
-
 
 class PingWorker:
-    """A thread that makes pings, one after the other, with arrays of its own.
+    """Makes pings, one after the other, with arrays of its own, in any thread.
 
     A ping's two halves are done in turn, so that the ping is that of `Simulator.ping` to the last bit.
 
@@ -34,10 +32,10 @@ class PingWorker:
             self._images = ImageSources(self._stages, None, world.scene, run.tolerance)
         self._sampling = self._search = None
         self._tolerance, self._gain = run.tolerance, run.instrument.gain
-        self._thread, self._making = JobThread(NAME), Lock()
+        self._making = Lock()
 
     def job(self, setup: PingSetup, resolution: Resolution, scene: Scene) -> Job:
-        """Return a job that makes one ping; hand it over by `submit`.
+        """Return a job that makes one ping.
 
         Parameters
         ----------
@@ -45,7 +43,7 @@ class PingWorker:
         """
 
         def make() -> list[ReceivedPing]:
-            with held(self._making):  # a caller that settles the job runs it, perhaps beside this thread
+            with self._making, STEP_BACK:  # another thread may make another ping of this worker
                 images = self._images_in(scene)
                 if resolution.stage.sampling != self._sampling:
                     self._stages.drop_large()  # of finer samples
@@ -62,7 +60,7 @@ class PingWorker:
         """
 
         def make() -> list[ReceivedPing]:
-            with held(self._making):
+            with self._making, STEP_BACK:
                 images = self._images_in(scene)
                 if self._search is None:
                     self._search = LevelSearch(self._stages, self._tolerance, self._gain)
@@ -75,12 +73,3 @@ class PingWorker:
         if self._images is not None:
             self._images.use_scene(scene)
         return self._images
-
-    def submit(self, job: Job) -> None:
-        """Have the thread do a job."""
-        self._thread.submit(job)
-
-    def close(self) -> None:
-        """End the thread after the jobs that it has; a later job starts another."""
-        self._thread.close()
-        self._thread = JobThread(NAME)

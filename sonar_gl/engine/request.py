@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import repeat
 
 import numpy as np
 
@@ -125,7 +124,8 @@ def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
         if one of these is not one value per ping: at once where lengths are known, else at the first pose without a
         value. Values are checked one by one.
     """
-    columns = [(name, iter(_per_ping(values, name, poses))) for name, values in per_ping.items()]
+    given = {name: values for name, values in per_ping.items() if values is not None}
+    columns = [(name, iter(_per_ping(values, name, poses))) for name, values in given.items()]
     poses = several_poses(poses)
 
     def requests():
@@ -151,10 +151,10 @@ def several_poses(poses) -> Iterable:
 
 
 def _per_ping(values, name: str, poses) -> Iterable:
-    """Return one value per ping, or None for each; an Error if it is one value alone, or of another number."""
-    if not isinstance(values, Iterable | None) or isinstance(values, (dict, str)):
+    """Return one value per ping; an Error if it is one value alone, or of another number."""
+    if not isinstance(values, Iterable) or isinstance(values, (dict, str)):
         raise Error(f"{name} must be several, one a pose (got {shown(values)})")
-    counted = values is not None and hasattr(values, "__len__") and hasattr(poses, "__len__")
+    counted = hasattr(values, "__len__") and hasattr(poses, "__len__")
     if counted and len(values) != len(poses):
         raise Error(f"{name} must be as many as poses (got {len(values)} for {len(poses)} poses)")
-    return repeat(None) if values is None else values
+    return values

@@ -12,7 +12,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.errors import SampleLimitError, closed_error
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.core.worker import Job, held
+from sonar_gl.core.worker import STEP_BACK, Job
 from sonar_gl.engine.adaptive import AdaptiveSampling
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.image_sampling import ImageSampling, MultipathEcho
@@ -109,7 +109,7 @@ class Run:
         """
 
         def alone():
-            with held(self._summing):
+            with self._summing, STEP_BACK:
                 return work()
 
         return self.await_job(Job(alone, IN_USE))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.core.worker import Job, JobThread
+from sonar_gl.core.worker import Job, JobThreads
 from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing
 from sonar_gl.engine.ping_worker import PingWorker
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
@@ -23,6 +23,7 @@ BATCH = 4  # pings drawn at once
 # Samples drawn at once, unless a single ping has more: 21 MB of render targets, twice, as others are summed meanwhile.
 # From half as many samples on, a ping gains nothing by being drawn with others.
 BATCH_SAMPLES = 1 << 19
+FEW_SAMPLES = 1 << 13  # a ping of fewer, and of a direct echo alone, takes less time than to hand it over
 
 
 class _TakenPing(NamedTuple):
@@ -90,21 +91,20 @@ class _Upcoming:
     ----------
     n_requests : number of requests that have come
     failure : why there are no more; or None
+    are_small : to hand them to other threads gains nothing, by the last ping; so it is until a ping tells
     """
 
     def __init__(self, run: Run, requests: Iterator[PingRequest]):
         self._run, self._requests = run, requests
         self._setups: deque[PingSetup] = deque()
-        self._is_over, self.failure, self.n_requests = False, None, 0
+        self._is_over, self.failure, self.n_requests, self.are_small = False, None, 0, True
         self._history = run.sampler.history  # the sampler has another one, if others made pings since
 
     def fill(self, count: int) -> bool:
         """Set up pings until there are so many; return whether any is there. Not inside `drawing`."""
         while len(self._setups) < count and not self._is_over:
             try:
-                with self._run.world.taking_request():
-                    request = next(self._requests)
-                self._setups.append(self._run.set_up(request))
+                self._setups.append(self._run.set_up(self._run.world.next_request(self._requests)))
                 self.n_requests += 1
             except StopIteration:
                 self._is_over = True
@@ -164,6 +164,13 @@ class _Upcoming:
             sampler.follow(ping.setup, plan, received.direct.total, ping.history.n_pings + 1)
             self._history = sampler.history
 
+    def review_size(self, received: ReceivedPing) -> None:
+        """Take the next pings to be as small, or not, as one that was received."""
+        view, has_lobes = received.drawn.view, received.lobes is not None or received.texture is not None
+        has_water = received.volume is not None or received.surface is not None or view.bubbles is not None
+        has_more = has_lobes or has_water or received.labels is not None or received.multipath is not None
+        self.are_small = not has_more and view.n_samples < FEW_SAMPLES
+
     def leave(self, pings: Sequence[_TakenPing]) -> None:
         """Have the sampler's history end with the ping that came out last: these, made ahead, never will.
 
@@ -174,7 +181,7 @@ class _Upcoming:
             self.put_back(pings)
 
 
-class _ReceiverThread:
+class ReceiverThread:
     """OpenGL draws some pings at once, in the caller's thread, while another thread receives those before.
 
     Attributes
@@ -182,12 +189,13 @@ class _ReceiverThread:
     most : pings that are started at once
     can_choose : it can choose the samples of a ping from it alone
     ahead : how many such groups are in flight while the caller waits for one
+    gain : they make pings faster than the caller alone
     """
 
-    most, ahead, can_choose = BATCH, 1, False
+    most, ahead, can_choose, gain = BATCH, 1, False, True
 
     def __init__(self, run: Run):
-        self._run, self._thread = run, JobThread("sonar_gl receiver")
+        self._run, self._thread = run, JobThreads("sonar_gl receiver")
 
     def start(self, batch: _Batch) -> Job:
         """Draw some pings, and begin to receive them; inside `drawing`."""
@@ -197,24 +205,34 @@ class _ReceiverThread:
         self._thread.submit(job)
         return job
 
+    def help_with(self, jobs: Sequence[Job]) -> None:
+        """Do nothing: these jobs are done one at a time."""
+
     def close(self) -> None:
         """End the thread."""
         self._thread.close()
 
 
-class _PingThreads:
-    """Threads each make their own pings, without a context; attributes as of `_ReceiverThread`."""
+class PingThreads:
+    """Threads each make their own pings, without a context; attributes as of `ReceiverThread`.
+
+    The caller is one of them while it waits: one more would take its core in turns with it.
+    """
 
     most, can_choose = 1, True
 
     def __init__(self, run: Run):
-        self._run, self._number = run, 0
-        self._workers = run.take_workers(n_threads(), partial(PingWorker, run))
-        self.ahead = 2 * len(self._workers) - 1
+        n = n_threads()
+        self._run, self._number, self._workers, self._n_workers = run, 0, [], n
+        self._threads = JobThreads("sonar_gl ping", n - 1)
+        self.ahead, self.gain = 2 * n - 1, n > 1
 
     def start(self, batch: _Batch) -> Job:
-        """Begin to make the only ping of a batch, by the threads in turn; inside `drawing`."""
-        run, worker = self._run, self._workers[self._number % len(self._workers)]
+        """Begin to make the only ping of a batch, by the workers in turn; inside `drawing`."""
+        run = self._run
+        if not self._workers:
+            self._workers = run.take_workers(self._n_workers, partial(PingWorker, run))
+        worker = self._workers[self._number % self._n_workers]
         self._number += 1
         (ping,) = batch.pings
         if batch.is_apart:
@@ -222,13 +240,19 @@ class _PingThreads:
         else:
             job = worker.job(ping.setup, run.resolution_ahead, run.world.scene)
         run.await_job(job)
-        worker.submit(job)
+        self._threads.submit(job)
         return job
 
+    def help_with(self, jobs: Sequence[Job]) -> None:
+        """Make pings that no other thread has begun, until the first of all has been made."""
+        for job in jobs:
+            if jobs[0].is_over:
+                break
+            job.begin()
+
     def close(self) -> None:
-        """End the threads; the next sequence goes on with their stages."""
-        for worker in self._workers:
-            worker.close()
+        """End the threads; the next sequence goes on with the stages of the workers."""
+        self._threads.close()
         self._run.keep_workers(self._workers)
 
 
@@ -242,6 +266,7 @@ def make_pings(run: Run, requests: Iterator[PingRequest]) -> Iterator[Ping]:
         for number, ping in enumerate(pings, 1):
             n_changes = world.n_changes
             yield ping
+            del ping  # a caller that has dropped it, too, lets the next one have its arrays
             n_ahead = upcoming.n_requests - number
             if world.n_changes != n_changes and n_ahead and not has_warned:
                 has_warned = True
@@ -260,13 +285,15 @@ def _make_ahead(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
     """Yield the pings to come, in order. A ping that has to wait is made here, once all before it have come out."""
     in_flight: deque[_Started] = deque()
     with run.drawing():
-        threads = _PingThreads(run) if run.world.engine.draws_in_threads else _ReceiverThread(run)
+        threads = PingThreads(run) if run.world.engine.draws_in_threads else ReceiverThread(run)
     try:
-        while upcoming.fill(threads.most) or in_flight:
-            must_wait = _start_next(run, upcoming, threads, in_flight)
+        while upcoming.fill(_n_to_set_up(upcoming, threads)) or in_flight:
+            makes_here = upcoming.are_small or not threads.gain
+            must_wait = makes_here or _start_next(run, upcoming, threads, in_flight)
             if must_wait and not in_flight:
-                yield _make_here(run, upcoming.pop())
+                yield _make_here(run, upcoming)
             while in_flight and (must_wait or len(in_flight) > threads.ahead):
+                threads.help_with([started.job for started in in_flight])
                 yield from _finish_first(run, upcoming, in_flight)
     finally:
         threads.close()
@@ -275,8 +302,14 @@ def _make_ahead(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
         raise upcoming.failure
 
 
+def _n_to_set_up(upcoming: _Upcoming, threads: ReceiverThread | PingThreads) -> int:
+    """Return how many pings to set up now: with those in flight, as many at a time, whoever makes them."""
+    is_made_here = upcoming.are_small or not threads.gain
+    return threads.most * (threads.ahead + 1) if is_made_here else threads.most
+
+
 def _start_next(
-    run: Run, upcoming: _Upcoming, threads: _ReceiverThread | _PingThreads, in_flight: deque[_Started]
+    run: Run, upcoming: _Upcoming, threads: ReceiverThread | PingThreads, in_flight: deque[_Started]
 ) -> bool:
     """Start the next pings; return whether no more can be started before all in flight have come out."""
     with run.drawing(beside=[started.job for started in in_flight]):
@@ -304,7 +337,7 @@ def _finish_first(run: Run, upcoming: _Upcoming, in_flight: deque[_Started]) -> 
         if isinstance(outcome, _ToMakeAgain):
             upcoming.put_back(_undelivered(in_flight))
             in_flight.clear()
-            yield _make_here(run, upcoming.pop())
+            yield _make_here(run, upcoming)
             return
         if isinstance(outcome, _WithoutEcho):
             ping = _make_without_echo(run, outcome.setup)
@@ -332,6 +365,7 @@ def _outcome_of(
     run: Run, upcoming: _Upcoming, started: _Started, received: ReceivedPing
 ) -> _Complete | _WithoutEcho | _ToMakeAgain:
     """Review the first ping of those started together that has not come out."""
+    upcoming.review_size(received)
     with run.world.unchanged():
         if run.review_ahead(received, started.choice):
             return _ToMakeAgain()
@@ -342,10 +376,12 @@ def _outcome_of(
         return _Complete(received, run.report(received))
 
 
-def _make_here(run: Run, setup: PingSetup) -> Ping:
-    """Return a ping that is made in this thread, as `Simulator.ping` makes it."""
+def _make_here(run: Run, upcoming: _Upcoming) -> Ping:
+    """Return the next ping, made in this thread, as `Simulator.ping` makes it."""
+    setup = upcoming.pop()
     with run.drawing():
         received, report = sample(run, setup)
+    upcoming.review_size(received)
     return finish(run, received, report)
 
 

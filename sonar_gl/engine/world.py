@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections import ChainMap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import NamedTuple
@@ -205,14 +205,13 @@ class World:
         )
         self._count_change(is_moved or any(self._plume_poses[name] is not plumes[name] for name in plumes))
 
-    @contextmanager
-    def taking_request(self):
-        """Count no changes of this thread for the time of the block: a generator of poses has placed bodies in time."""
-        # a generator may take from a sequence itself: the inner block must not end the outer one
+    def next_request(self, requests: Iterator):
+        """Return the next request of a sequence; count no changes meanwhile: its generator places bodies in time."""
+        # a generator may take from a sequence itself: the inner call must not end the outer one
         before = self._is_taking_request()
         self._taking.request = True
         try:
-            yield
+            return next(requests)
         finally:
             self._taking.request = before
 

@@ -151,3 +151,8 @@ class ViewSamples:
     table: tuple | None = None
     body_spans: np.ndarray = field(default_factory=lambda: NO_SPANS)
     bubbles: np.ndarray | None = None
+
+    @property
+    def n_samples(self) -> int:
+        """How many samples were drawn."""
+        return sum(one.sector.columns * one.sector.rows for one in self.sectors)

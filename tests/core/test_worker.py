@@ -8,8 +8,9 @@ import warnings
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.core.worker import SecondThread
+from sonar_gl.core.worker import Job, JobThreads, SecondThread
 from sonar_gl.engine import world
+from tests.support.waiting import wait_until
 
 LIMIT_S = 60  # a machine that tests run on may be slow
 
@@ -182,3 +183,16 @@ def test_a_forked_process_does_both_halves_itself():
     assert os.waitpid(child, 0)[1] == 0
     assert thread.run_halves(lambda half: half) == (0, 1)
     thread.close()
+
+
+def test_several_threads_do_jobs_at_once_and_all_end():
+    before, together = threading.active_count(), threading.Barrier(4)
+    threads = JobThreads("together", 3)
+    jobs = [Job(lambda: together.wait(LIMIT_S)) for _ in range(3)]
+    for job in jobs:
+        threads.submit(job)
+    together.wait(LIMIT_S)
+    assert sorted([job.result() for job in jobs]) == sorted({job.answer for job in jobs})
+    assert threading.active_count() == before + 3
+    threads.close()
+    wait_until(lambda: threading.active_count() == before)

@@ -12,8 +12,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.core.worker import JobThread
-from sonar_gl.engine import ping_worker, pipeline, sequence, threads, world
+from sonar_gl.core.worker import JobThreads
+from sonar_gl.engine import pipeline, sequence, threads, world
 from sonar_gl.engine.run import Run
 from sonar_gl.ping import BIN_LABELS
 from tests.support.estimates import record_estimates
@@ -28,6 +28,8 @@ BODIES = (
     sg.Body("ball", BALL, sg.pose(8, -1), 0.6, np.asarray(BALL.vertices, np.float32) * 2),
 )
 LABELS = (*BIN_LABELS, "body_echo")
+ROUGH_SEA = sg.Water(volume_backscatter_db=-70.0, wind_speed_m_s=10.0)
+FEW_SAMPLES = sequence.FEW_SAMPLES  # as the program has it
 POSES = [sg.pose(0.1 * k, 0.05 * k, 0, 0, 0.01 * k, 0.02 * k) for k in range(11)]
 MOVED = [
     None if k % 3 == 0 else {"box": sg.pose(6, 2 - 0.3 * k), "ball": None if k % 2 else sg.pose(9, 0.1 * k)}
@@ -37,6 +39,13 @@ MOVED = [
 
 def simulator(sampling=SAMPLING, bodies=BODIES, **kw):
     return sg.Simulator(sg.Scene(bodies), SONAR, sg.Acoustics.ideal(), sampling, **kw)
+
+
+@pytest.fixture(autouse=True)
+def several_threads(monkeypatch):
+    """Have other threads make the pings, small as they are, also on one core."""
+    monkeypatch.setattr(sequence, "FEW_SAMPLES", 0)
+    monkeypatch.setattr(sequence, "n_threads", lambda: max(2, threads.n_threads()))
 
 
 @pytest.fixture
@@ -512,9 +521,9 @@ def test_a_call_in_the_middle_of_a_ping_of_a_sequence_raises_an_error(it, monkey
             messages.append(str(caught.value))
         return receive(drawn)
 
-    for module in (ping_worker, sequence):
+    for module in (ping_worker, pipeline, sequence):
         monkeypatch.setattr(module, "receive", receive_and_call)
-    monkeypatch.setattr(JobThread, "submit", lambda *_: None)  # the caller makes all of them
+    monkeypatch.setattr(JobThreads, "submit", lambda *_: None)  # the caller makes all of them
     for ping, right in zip(it.pings(POSES), expected, strict=True):
         np.testing.assert_array_equal(ping.intensity, right)
     assert len(messages) == len(POSES)
@@ -526,7 +535,7 @@ def test_a_call_in_the_middle_of_a_ping_of_a_sequence_raises_an_error(it, monkey
 def test_an_interrupt_while_pings_are_handed_over_leaves_later_pings_right(it, monkeypatch, where):
     """An executor of the standard library forgets a thread whose start is interrupted: it went on summing."""
     expected = [ping.intensity for ping in it.pings(POSES)]
-    owner = threading.Thread if where == "start" else JobThread
+    owner = threading.Thread if where == "start" else JobThreads
     original = getattr(owner, where)
 
     def interrupted(self, *arguments):
@@ -757,7 +766,7 @@ def test_pings_that_nobody_took_change_no_later_one():
 
 def test_a_body_that_another_simulator_adds_waits_for_the_pings_that_are_being_made(monkeypatch):
     """They have the scene as it was, in which compiled code would look for that body outside of arrays."""
-    monkeypatch.setattr(JobThread, "submit", lambda thread, job: None)  # a busy thread, which begins no job
+    monkeypatch.setattr(JobThreads, "submit", lambda thread, job: None)  # a busy thread, which begins no job
     scene = sg.Scene(BODIES, surface_z_m=3.0)
     with (
         sg.Simulator(scene, SONAR, sg.Acoustics.ideal(), SAMPLING, engine="cpu") as one,
@@ -791,9 +800,9 @@ def test_a_body_that_another_simulator_adds_in_the_middle_of_a_ping_raises_an_er
                 messages.append(str(caught.value))
             return receive(drawn)
 
-        for module in (ping_worker, sequence):
+        for module in (ping_worker, pipeline, sequence):
             monkeypatch.setattr(module, "receive", receive_and_add)
-        monkeypatch.setattr(JobThread, "submit", lambda *_: None)  # the caller makes all of them
+        monkeypatch.setattr(JobThreads, "submit", lambda *_: None)  # the caller makes all of them
         for ping, right in zip(one.pings(POSES), expected, strict=True):
             np.testing.assert_array_equal(ping.intensity, right)
         assert len(one.scene.bodies) == len(BODIES)
@@ -823,3 +832,139 @@ def test_bodies_that_change_while_another_thread_waits_for_a_pose_are_warned_of(
     finally:
         end.set()
         thread.join()
+
+
+# ---- pings that are too small to hand them over --------------------------------------------------------
+
+
+@pytest.fixture
+def handed_over(monkeypatch):
+    """Return a list of the numbers of pings that threads make from now on; with OpenGL of None for some at once."""
+    numbers = []
+
+    def noting(make):
+        def noted(worker, setup, *more):
+            numbers.append(setup.request.number)
+            return make(worker, setup, *more)
+
+        return noted
+
+    for name in ("job", "job_apart"):
+        monkeypatch.setattr(ping_worker.PingWorker, name, noting(getattr(ping_worker.PingWorker, name)))
+    receive_later = Run.receive_later
+    monkeypatch.setattr(Run, "receive_later", lambda *some: numbers.append(None) or receive_later(*some))
+    return numbers
+
+
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_small_pings_are_those_of_single_calls_and_need_no_other_thread(engine, handed_over, monkeypatch):
+    monkeypatch.setattr(sequence, "FEW_SAMPLES", FEW_SAMPLES)
+    with simulator(engine=engine) as it:
+        for pose, moved, ping in zip(POSES, MOVED, it.pings(POSES, bodies=MOVED), strict=True):
+            check_same(ping, it.ping(pose, bodies=moved))
+    assert handed_over == []
+
+
+def test_the_first_ping_tells_whether_others_are_made_by_threads(handed_over):
+    with simulator(engine="cpu") as it:
+        pings = it.pings(POSES)
+        next(pings)
+        assert handed_over == []
+        next(pings)
+        assert handed_over == [1, 2, 3, 4]
+        pings.close()
+
+
+def test_pings_that_become_small_and_large_again_are_those_of_single_calls(handed_over, monkeypatch):
+    monkeypatch.setattr(sequence, "FEW_SAMPLES", 1)
+    away = sg.pose(yaw=3.0)  # nothing is drawn there
+    path = [*POSES[:7], *[away] * 11, *POSES[7:]]
+    with simulator(engine="cpu") as it, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of pings without an echo
+        expected = [it.ping(pose) for pose in path]
+        for ping, other in zip(it.pings(path), expected, strict=True):
+            check_same(ping, other)
+    assert set(handed_over) >= {*range(1, 7), *range(19, len(path))}  # a large one before each of them
+    assert not {0, *range(12, 19)} & set(
+        handed_over
+    )  # some small ones were handed over before the first came out
+
+
+@pytest.mark.parametrize(
+    ("physics", "options"),
+    [
+        ({}, {"labels": True}),
+        ({"multipath": "incoherent"}, {}),
+        ({"volume_reverberation": True, "water": ROUGH_SEA}, {}),
+        ({"surface_reverberation": True, "water": ROUGH_SEA}, {}),
+        ({"specular": True}, {"noise": sg.Noise(speckle=True)}),
+        ({"bubbles": True}, {}),
+    ],
+)
+def test_pings_of_more_than_a_direct_echo_are_not_small(physics, options, handed_over, monkeypatch):
+    monkeypatch.setattr(sequence, "FEW_SAMPLES", math.inf)
+    mirror = sg.Body("mirror", BALL, sg.pose(5), 0.5, specular=1.0)
+    scene = sg.Scene([*BODIES, mirror], surface_z_m=1.5).with_more([sg.Bubbles("plume", sg.pose(6, 1, -2))])
+    with sg.Simulator(scene, SONAR, sg.Acoustics("ideal", **physics), SAMPLING, engine="cpu") as it:
+        list(it.pings(POSES, **options))
+    assert set(handed_over) == set(
+        range(1, len(POSES))
+    )  # some more than once, to make their image sources finer
+
+
+def test_requests_are_taken_as_far_ahead_whoever_makes_the_pings(monkeypatch):
+    """What a program does between two pings acts on the same ping, however large pings are."""
+
+    def n_taken():
+        taken = []
+
+        def poses():
+            for pose in POSES:
+                taken.append(pose)
+                yield pose
+
+        with simulator(engine="cpu") as it:
+            return [len(taken) for _ in it.pings(poses())]
+
+    by_threads = n_taken()
+    monkeypatch.setattr(sequence, "FEW_SAMPLES", math.inf)
+    assert n_taken() == by_threads
+    assert by_threads[0] > 1
+
+
+def test_one_core_has_no_thread_make_pings(handed_over, monkeypatch):
+    monkeypatch.setattr(sequence, "n_threads", lambda: 1)
+    with simulator(engine="cpu") as it:
+        for pose, ping in zip(POSES, it.pings(POSES, labels=True), strict=True):
+            check_same(ping, it.ping(pose, labels=True))
+    assert handed_over == []
+
+
+# ---- who makes pings ------------------------------------------------------------------------------------
+
+
+def test_the_caller_makes_pings_while_it_waits_for_the_first(it, monkeypatch):
+    monkeypatch.setattr(sequence, "n_threads", lambda: 2)
+    expected, receive, has_made = [it.ping(pose) for pose in POSES], pipeline.receive, threading.Event()
+
+    def wait_for_the_caller(drawn):
+        if threading.current_thread() is threading.main_thread():
+            has_made.set()
+        else:
+            assert has_made.wait(60)
+        return receive(drawn)
+
+    monkeypatch.setattr(ping_worker, "receive", wait_for_the_caller)
+    for ping, other in zip(it.pings(POSES), expected, strict=True):
+        check_same(ping, other)
+    assert has_made.is_set()
+
+
+def test_threads_and_the_caller_are_as_many_as_the_cores(monkeypatch):
+    monkeypatch.setattr(sequence, "n_threads", lambda: 4)
+    with simulator(engine="cpu") as it:
+        pings = it.pings(POSES)
+        next(pings), next(pings)
+        assert sum(thread.name == "sonar_gl ping" for thread in threading.enumerate()) == 3
+        pings.close()
+        wait_until(lambda: all(thread.name != "sonar_gl ping" for thread in threading.enumerate()))

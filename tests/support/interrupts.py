@@ -141,6 +141,7 @@ def _actions() -> dict[str, Action]:
         "pings": Action(fixed, *_pings()),
         "pings with labels and moving bodies": Action(fixed, *_pings(bodies=MOTION, labels=True)),
         "pings by tolerance": Action(adaptive, *_pings(bodies=MOTION)),
+        "pings with labels by tolerance": Action(adaptive, *_pings(bodies=MOTION, labels=True)),
         "pings with multipath": Action(with_paths, *_pings()),
         "plan": Action(adaptive, lambda it: it.plan(POSES[:2]), look, alters=True),
         "plan with multipath": Action(both, lambda it: it.plan(POSES[:2]), look, alters=True),
