@@ -13,7 +13,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.worker import JobThreads
-from sonar_gl.engine import pipeline, sequence, threads, world
+from sonar_gl.engine import ping_worker, pipeline, sequence, threads, world
 from sonar_gl.engine.run import Run
 from sonar_gl.ping import BIN_LABELS
 from tests.support.estimates import record_estimates
