@@ -671,8 +671,8 @@ MUTATIONS = (
     ),
     Mutation(
         "labels/interrupted weights",
-        "self._weights = key, make()",
-        "self._weights = key, None; self._weights = key, make()",
+        "self._weights[key] = make() if found",
+        "self._weights[key] = None, None; self._weights[key] = make() if found",
         ("test_interrupts::test_the_first_labels_are_interrupted_where_weights_are_found_and_kept",),
     ),
     # multipath by image sources
@@ -922,7 +922,10 @@ MUTATIONS = (
         ADAPTIVE,
     ),
     Mutation(
-        "planner/height of rows", "min(sample_deg, MAX_ROW_DEG)", "max(sample_deg, MAX_ROW_DEG)", ADAPTIVE
+        "planner/height of rows",
+        "_aperture_deg(sonar) / MAX_ROW_DEG",
+        "_aperture_deg(sonar) / (8 * MAX_ROW_DEG)",
+        ADAPTIVE,
     ),
     Mutation(
         "planner/bound of a body",
@@ -1661,10 +1664,29 @@ MUTATIONS = (
     ),
     Mutation(
         "fan/columns of a table",
-        "spacing = np.diff(axes_rad).min(initial=span)",
-        "spacing = np.diff(axes_rad).max(initial=0)",
+        "spacing = np.diff(sonar.azimuth_rad).min(initial=span_rad)",
+        "spacing = np.diff(sonar.azimuth_rad).max(initial=0)",
         ("test_fan",),
     ),
+    Mutation(
+        "fan/whole columns of samples",
+        "multiple * math.ceil(plane / widest / multiple)",
+        "math.ceil(plane / widest)",
+        ("test_fan",),
+    ),
+    Mutation(
+        "fan/samples as wide as columns",
+        "return self._stages.fitted(sampling_at(self._sonar, level))",
+        "return sampling_at(self._sonar, level)",
+        ("test_adaptive::test_samples_as_wide_as_whole_columns_take_thin_upright_parts_by_their_width",),
+    ),
+    Mutation(
+        "fan/columns beyond the reach",
+        "np.where((low < reach_rad - 1e-12) & (high > 1e-12 - reach_rad), high, low)",
+        "high",
+        ("test_far_lobes",),
+    ),
+    Mutation("fan/columns of the mirror image", "KEPT_COLUMNS = 2", "KEPT_COLUMNS = 1", ("test_stage",)),
     Mutation(
         "fan/samples of further side lobes",
         "coarser = SKIRTS_COARSER * 2**number",
