@@ -11,11 +11,23 @@ import numpy as np
 
 from sonar_gl.acoustics.boundary import cos_of_greatest_lobe, specular_lobe
 from sonar_gl.beamform.beamformer import Beamformer
+from sonar_gl.beamform.kernels.body_counts import (
+    JJ,
+    RUNS_ACROSS,
+    RUNS_ALONG,
+    BodyTotals,
+    EchoWeights,
+    I,
+    N,
+    ReceivedPart,
+    SectorImage,
+    count_samples,
+)
 from sonar_gl.core.compiled import compiled
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.fan import SURFACE_MARGIN_M
 from sonar_gl.sonar.samples import SectorSamples, whole_rows
-from sonar_gl.sonar.sector import Sector
+from sonar_gl.sonar.sector import NO_UPRIGHTS, Sector
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing their faces costs too much
@@ -30,9 +42,6 @@ MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
 # The samples on many thin parts, as of a net, spread over more than so many samples in any direction, in shorter runs
 # than these on average. Those on one rod lie along a line, which the sheared lattice meets evenly.
 MIN_WIDTH, MAX_RUN = 6.0, 3.0
-# Sums over the samples on a body: how many, and how many runs of neighbours along rows and across them; moments of the
-# columns i and rows j.
-N, ALONG, ACROSS, I, J, II, IJ, JJ = range(8)
 # 1/x over that of the plane of the sample there: a point at the foot of a body lies on that of the floor
 IN_FRONT = 1.001
 
@@ -99,137 +108,34 @@ class BodyCounts(NamedTuple):
     strands: np.ndarray
 
 
-@compiled
-def _count_samples(
-    samples,
-    lattice,
-    strips,
-    sines,
-    widest,
-    received_u,
-    bins,
-    gain,
-    elevation_table,
-    counts,
-    echo,
-    of_strips,
-    unlike,
-    places,
-):
-    """Add the samples of one sector to (bodies + 1,) counts and sums of μ cos θ ΔΩ G.
-
-    samples : (plane_echo, body_id) of `SectorSamples`, in `whole_rows`; lattice : of `SectorSamples`
-    strips : of `_upright_strips`
-    sines : of `Strips`: beyond them no beam receives, in sectors whose beams are cones
-    widest : |u| beyond which samples only fill sheared rows
-    received_u : of `Beamformer`
-    bins : (2,) start of the first bin, metres, and bins per metre
-    elevation_table : of `Beamformer`, taken at the nearest sine
-    of_strips : (bodies + 1,), filled with the sums that the strips take of these samples
-    unlike : (2, bodies + 1), filled with the squared differences of neighbours on one body, along rows and across
-    places : (bodies + 1, 8), filled with the sums N..JJ
-    """
-    plane_echo, body_id = samples
-    (u, v, tan_low, tan_high, columns, sine, cosine), (r_first, per_metre) = lattice, bins
-    (middles, ends), n_strips, half = strips, len(strips[0]), u[1] / 2
-    # the outermost strips may take samples beyond them
-    reach = widest + (half if n_strips else 0.0)
-    per_sine = (elevation_table.shape[0] - 1) / 2
-    K = gain.shape[0]
-    area = u[1] * v[2] - u[2] * v[1]
-    low2, high2 = tan_low * abs(tan_low), tan_high * abs(tan_high)
-    # of the row before; of bodies 0, which none has, where no sample counts
-    above, body_above = np.zeros(columns), np.zeros(columns, np.uint16)
-    for j in range(plane_echo.shape[0]):
-        beside, body_beside = 0.0, 0
-        before, past = 0, 0  # of the strips to which the sample is the nearest one of its row
-        for i in range(columns):
-            body_over, over = body_above[i], above[i]
-            body_left, body_beside, body_above[i] = body_beside, 0, 0
-            q = plane_echo[j, i, 0]
-            if q <= 0.0 or plane_echo[j, i, 3] <= 0.0:
-                continue
-            uc, vc = u[0] + u[1] * i + u[2] * j, v[0] + v[1] * i + v[2] * j
-            v2, u2 = vc * abs(vc), 1.0 + uc * uc
-            if abs(uc) > reach or v2 > high2 * u2 or v2 < low2 * u2:
-                continue
-            if len(received_u) and np.searchsorted(received_u, uc) % 2 == 0:
-                continue  # between two beams
-            L2 = u2 + vc * vc
-            L = math.sqrt(L2)
-            if not sines[0] * L <= sine - cosine * uc <= sines[1] * L:
-                continue
-            inverse = 1.0 / (L2 * q)  # one division for three
-            k = (L * L2 * inverse - r_first) * per_metre
-            if 0.0 <= k < K:
-                per_L2 = inverse * q
-                place = int(per_sine + vc * L * per_L2 * per_sine + 0.5)
-                pattern = elevation_table[place] if elevation_table.shape[0] else 1.0
-                body = body_id[j, i]
-                returned = plane_echo[j, i, 3] * q * area * per_L2 * per_L2 * gain[int(k)] * pattern
-                if n_strips:
-                    while past < n_strips and middles[past] <= uc + half:
-                        past += 1
-                    while before < n_strips and middles[before] <= uc - half:
-                        before += 1
-                    of_strips[body] += returned * (ends[past] - ends[before]) / u[1]
-                    if abs(uc) > widest:
-                        continue
-                else:
-                    of_strips[body] += returned
-                counts[body] += 1.0
-                echo[body] += returned
-                if body == body_left:
-                    unlike[0, body] += (returned - beside) ** 2
-                else:
-                    places[body, ALONG] += 1.0
-                if body == body_over:
-                    unlike[1, body] += (returned - over) ** 2
-                else:
-                    places[body, ACROSS] += 1.0
-                places[body, N] += 1.0
-                places[body, I] += i
-                places[body, J] += j
-                places[body, II] += i * i
-                places[body, IJ] += i * j
-                places[body, JJ] += j * j
-                beside, body_beside, above[i], body_above[i] = returned, body, returned, body
-
-
 def count_bodies(samples: Sequence[SectorSamples], n_bodies: int, reception: Reception) -> BodyCounts:
     """Count the samples on each body, and about the echo of each."""
-    counts, echo, of_strips = np.zeros((3, n_bodies + 1))
-    unlike = np.zeros((2, n_bodies + 1))
-    bins = reception.sonar.range_min_m, 1.0 / reception.sonar.bin_size_m
-    gains = reception.gain, reception.elevation_table
-    places = np.zeros((len(samples), n_bodies + 1, JJ + 1))
-    for one, received, of_sector in zip(samples, reception.received_u, places, strict=True):
+    sonar, n = reception.sonar, n_bodies + 1
+    weights = EchoWeights(
+        sonar.range_min_m, 1.0 / sonar.bin_size_m, reception.gain, reception.elevation_table
+    )
+    counts, echo, of_strips = np.zeros((3, n))
+    unlike, places = np.zeros((2, n)), np.zeros((len(samples), n, JJ + 1))
+    for one, received_u, of_sector in zip(samples, reception.received_u, places, strict=True):
         if not one.plane_echo.size:  # no body lies in it
             continue
-        arrays = whole_rows(one.plane_echo), whole_rows(one.body_id)
-        limits = one.sector.strips.sines, math.tan(one.sector.half_width_rad), received
-        sums = counts, echo, of_strips, unlike, of_sector
-        _count_samples(
-            arrays, one.lattice, _upright_strips(one.sector, received), *limits, bins, *gains, *sums
-        )
+        image = SectorImage(whole_rows(one.plane_echo), whole_rows(one.body_id), one.lattice)
+        part = _received_part(one.sector, received_u)
+        totals = BodyTotals(counts, echo, of_strips, unlike, of_sector)
+        count_samples(tuple(image), tuple(part), tuple(weights), tuple(totals))
     # half the mean square of the differences of two is their variance; stripes show across them alone
     return BodyCounts(counts, echo, of_strips, np.sqrt(unlike.max(axis=0) / 2), _strands(places).sum(axis=0))
 
 
-def _upright_strips(sector: Sector, received) -> tuple[np.ndarray, np.ndarray]:
-    """Return the u of the middles of a sector's strips, (P,) and rising, and (P + 1,) where they end, the first at 0.
-
-    Of no length where what they take of a sample is not known: cones, and boxes with gaps between them, in which no
-    strip counts.
-    """
-    if sector.strips.are_cones or len(received):
-        return np.empty(0), np.empty(0)
-    return sector.strips.middle[::-1].copy(), np.append(0.0, np.cumsum(sector.strips.width[::-1]))
+def _received_part(sector: Sector, received_u: np.ndarray) -> ReceivedPart:
+    # in gaps between boxes no strip counts: what the strips take of a sample beside one is not known
+    uprights = NO_UPRIGHTS if len(received_u) else sector.strips.uprights
+    return ReceivedPart(sector.strips.sines, math.tan(sector.half_width_rad), received_u, tuple(uprights))
 
 
 def _strands(places) -> np.ndarray:
-    """Return the strands of `BodyCounts` in each sector, (sectors, bodies + 1); places : of `_count_samples`."""
-    n, along, across = places[..., N], places[..., ALONG], places[..., ACROSS]
+    """Return the strands of `BodyCounts` in each sector, (sectors, bodies + 1); places : of `BodyTotals`."""
+    n, along, across = places[..., N], places[..., RUNS_ALONG], places[..., RUNS_ACROSS]
     i, j, ii, ij, jj = np.moveaxis(places[..., I:], -1, 0) / np.maximum(n, 1.0)
     of_i, of_j, of_both = ii - i * i, jj - j * j, ij - i * j
     least = (of_i + of_j) / 2 - np.hypot((of_i - of_j) / 2, of_both)

@@ -32,6 +32,20 @@ SHEAR_ROWS = 0.18
 MAX_CONE_RAD, MAX_AZIMUTH_RAD = math.radians(84.0), math.radians(86.0)
 
 
+class Uprights(NamedTuple):
+    """P upright strips of a sector by rising u, side by side, so that each row of samples is divided between them.
+
+    middle : (P,) float64, u of their middles
+    end : (P + 1,) float64, where they end, from 0 where the first one begins
+    """
+
+    middle: np.ndarray
+    end: np.ndarray
+
+
+NO_UPRIGHTS = Uprights(np.empty(0), np.empty(0))
+
+
 @dataclass(frozen=True, eq=False)
 class Strips:
     """The P strips of a sector's image plane, by rising azimuth or, of cones, by column.
@@ -54,6 +68,13 @@ class Strips:
     v_low: np.ndarray
     v_high: np.ndarray
     are_cones: bool = False
+
+    @cached_property
+    def uprights(self) -> Uprights:
+        """The strips by rising u; none if they are cones."""
+        if self.are_cones:
+            return NO_UPRIGHTS
+        return Uprights(self.middle[::-1].copy(), np.append(0.0, np.cumsum(self.width[::-1])))
 
     @cached_property
     def sines(self) -> tuple[float, float]:
