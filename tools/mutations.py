@@ -174,6 +174,18 @@ MUTATIONS = (
         (*FOOTPRINTS, SMOOTH_FLOOR),
     ),
     Mutation(
+        "footprints/an end beyond the edge of its bin",
+        "np.float32(max(half_height * (outer**2 - far * far), 0.0) * slanted)",
+        "np.float32(half_height * (outer**2 - far * far) * slanted)",
+        FOOTPRINTS,
+    ),
+    Mutation(
+        "footprints/negative density of the last bin",
+        "slanted = max(1.0 + rise * ((outer + far) / 2 - s), 0.0)",
+        "slanted = 1.0 + rise * ((outer + far) / 2 - s)",
+        FOOTPRINTS,
+    ),
+    Mutation(
         "footprints/negative density at an end",
         "return max(1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide), 0.0)",
         "return 1.0 + rise * min(max((nearer + further) / 2 - s, -wide), wide)",

@@ -109,6 +109,18 @@ def test_slanted_bins_lie_between_none_and_twice_even_ones(slant):
             assert bins.min() >= 0 and (bins <= 2 * even + 1e-6 * even.max()).all()
 
 
+@pytest.mark.parametrize("end", [1, -1])
+@pytest.mark.parametrize("slant", [0.0, -1.0, 1.0])
+def test_no_bin_is_negative_where_a_footprint_ends_at_the_edge_of_one(slant, end):
+    """By rounding such an end lies on either side of the edge, and the density there on either side of zero."""
+    rng = np.random.default_rng(2)
+    for edge in rng.choice(bin_table(EDGES).s[20:-20], 300):
+        wide = edge * rng.uniform(0.01, 0.3)
+        for steps in range(-6, 7):
+            at_end = edge + steps * np.spacing(edge)
+            assert spread(at_end - end * wide, 0.0, wide, slant=slant).min() >= 0
+
+
 def test_a_footprint_keeps_its_energy():
     rng = np.random.default_rng(0)
     for _ in range(300):

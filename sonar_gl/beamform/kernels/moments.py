@@ -146,7 +146,7 @@ def spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp):
         rise = work[SLANT, m] / max(work[A, m], work[B, m])
         slanted, even_echo = (
             max(1.0 + rise * ((near + inner) / 2 - s), 0.0),
-            half_height * (near * near - inner**2),
+            max(half_height * (near * near - inner**2), 0.0),
         )
         echo = even_echo * slanted
         sums[row, first] += np.float32(echo)
@@ -154,7 +154,7 @@ def spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp):
         _add_moments(cells, slot, first, np.float32(echo), *_angles_at(work, m, (near + inner) / 2), range_)
         slanted, even_echo = (
             max(1.0 + rise * ((outer + far) / 2 - s), 0.0),
-            half_height * (outer**2 - far * far),
+            max(half_height * (outer**2 - far * far), 0.0),
         )
         echo = even_echo * slanted
         sums[row, last] += np.float32(echo)

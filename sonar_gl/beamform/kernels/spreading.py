@@ -79,10 +79,11 @@ def spread_footprints(work, start, stop, sums, spans, c, bins, short_ramp):
             steepness, middle_s = np.float32(2 * half_height * rise), np.float32(s)
             for k in range(uint64(first + 1), last):
                 sums[row, k] += (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
+        # by rounding, an end at the edge of a bin may lie beyond it, and the density at an end below zero
         slanted = max(1.0 + rise * ((near + inner) / 2 - s), 0.0)
-        sums[row, first] += np.float32(half_height * (near * near - inner**2) * slanted)
+        sums[row, first] += np.float32(max(half_height * (near * near - inner**2), 0.0) * slanted)
         slanted = max(1.0 + rise * ((outer + far) / 2 - s), 0.0)
-        sums[row, last] += np.float32(half_height * (outer**2 - far * far) * slanted)
+        sums[row, last] += np.float32(max(half_height * (outer**2 - far * far), 0.0) * slanted)
     if lowest <= highest:
         spans[c, 0], spans[c, 1] = min(spans[c, 0], int(lowest)), max(spans[c, 1], int(highest) + 1)
 
