@@ -159,8 +159,8 @@ def make_beamformer(
         weights = beam_weights(fan, design.pattern, reach, *patterns, blocks is not None, n_nodes)
         return weights, None if blocks is None else far_lobes(blocks, weights, edges, patterns[0])
 
-    received = *workspace.weights(edges, weigh), design.elevation_pattern
-    return Beamformer(fan, *received, thread, design.beams.is_box, workspace)
+    weights, lobes = workspace.weights(edges, weigh)
+    return Beamformer(fan, weights, lobes, design.elevation_pattern, thread, design.beams.is_box, workspace)
 
 
 class _Design(NamedTuple):
@@ -250,23 +250,23 @@ class Beamformer:
             "elevations and bins", lambda: _tables_of(fan, elevation_pattern)
         )
         self._weights, self._tiles = weights, tuple(weights.tiles)
-        self._parts = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
+        self._tile_halves = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
         self._spread = fan.sampling.reducer == "footprint"
         self._far = far_lobes
         # with far side lobes, beams receive all columns
         received = np.ones(fan.n_columns, bool) if far_lobes else weights.received
         n_columns, n_wide, edges = fan.n_columns, fan.n_wide_columns, fan.wide_edges
         # first and past the last of each half: of its columns, and of its wide columns
-        self._halves = tuple(
+        self._column_halves = tuple(
             (_half_of(n_columns, half), tuple(n_columns + end for end in _half_of(n_wide, half)))
             for half in (0, 1)
         )
-        self._shared = _parts_of_wide_columns(edges, n_columns)
+        self._wide_parts = _parts_of_wide_columns(edges, n_columns)
         self._has_gaps = is_box and not received.all()
         if n_wide:
             received = np.append(received, np.logical_or.reduceat(received, edges[:-1]))
         of_fan = _joined_strips([_as_table(sector.strips) for sector in fan.sectors])
-        self._all_strips = tuple(_within(*of_fan, half, received) for half in self._halves)
+        self._all_strips = tuple(_within(*of_fan, half, received) for half in self._column_halves)
         self.strips = tuple(_of_sectors(*strips) for strips in self._all_strips)
         self._wide_shares = fan.wide_shares
         self._last_rows = None, 0.0
@@ -284,7 +284,7 @@ class Beamformer:
             )
             of_sectors.append((mirrored[column], *rest, self.fan.are_cones))
         of_fan = _joined_strips(of_sectors)
-        return tuple(_of_sectors(*_within(*of_fan, half)) for half in self._halves)
+        return tuple(_of_sectors(*_within(*of_fan, half)) for half in self._column_halves)
 
     @cached_property
     def received_u(self) -> tuple[np.ndarray, ...]:
@@ -317,7 +317,7 @@ class Beamformer:
     @cached_property
     def _labeller(self) -> Labeller:
         response = self._weights.column_response if self._far is None else self._far.column_response
-        tables = self._parts, self._bins, self.elevation_table
+        tables = self._tile_halves, self._bins, self.elevation_table
         return Labeller(self.fan, self._weights, self.is_box, *tables, self._workspace, response)
 
     @property
@@ -335,12 +335,12 @@ class Beamformer:
 
     def clear_columns(self, half: int, columns: ColumnSums) -> None:
         """Set the sums of a half of the columns to zero."""
-        for first, last in self._halves[half]:
+        for first, last in self._column_halves[half]:
             clear_columns(first, last, columns.all_sums, columns.all_spans)
 
     def share_wide_columns(self, columns: ColumnSums) -> None:
         """Add the sums of wide columns to those of their columns."""
-        for part in self._shared:
+        for part in self._wide_parts:
             self._share_wide_columns(part, columns)
 
     def _share_wide_columns(self, part: tuple[int, int], columns: ColumnSums) -> None:
@@ -376,10 +376,8 @@ class Beamformer:
         out = []
         for number, (_, one) in enumerate(zip(self.fan.sectors, samples, strict=True)):
             arrays = (whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id))
-            spans, table = (
-                body_spans if one.body_id.size else NO_SPANS,
-                tuple(sector_table([one.sector], [0])),
-            )
+            spans = body_spans if one.body_id.size else NO_SPANS
+            table = tuple(sector_table([one.sector], [0]))
             out.append(_ImageOfSectors((*arrays, spans, table), slice(number, number + 2)))
         return out
 
@@ -402,10 +400,10 @@ class Beamformer:
                     columns.all_sums,
                     columns.all_spans,
                 )
-            self._share_wide_columns(self._shared[half], columns)
+            self._share_wide_columns(self._wide_parts[half], columns)
 
         self._run(work, sum(self._strip_rows(table, sectors) for (*_, table), sectors in images) < FEW_ROWS)
-        self._share_wide_columns(self._shared[2], columns)
+        self._share_wide_columns(self._wide_parts[2], columns)
         return columns
 
     def _strip_rows(self, table: tuple, sectors: slice) -> float:
@@ -446,9 +444,11 @@ class Beamformer:
         columns, is_seen = self._column_sums(n_wide), np.zeros((2, len(images)), bool)
 
         def add(half: int, view: ImageSourceView) -> bool:
-            of_sectors, counts = zip(view.samples, view.reflections, view.strips[half], strict=True), False
-            for one, reflection, strips in of_sectors:
-                counts |= sum_image_source(
+            returns_echo = False
+            for one, reflection, strips in zip(
+                view.samples, view.reflections, view.strips[half], strict=True
+            ):
+                returns_echo |= sum_image_source(
                     self._workspace.works[half],
                     whole_rows(one.plane_echo),
                     one.lattice,
@@ -459,7 +459,7 @@ class Beamformer:
                     columns.all_sums,
                     columns.all_spans,
                 )
-            return counts
+            return returns_echo
 
         def add_images(half):
             of_images.clear_columns(half, columns)
@@ -467,7 +467,7 @@ class Beamformer:
                 is_seen[half, number] = add(half, view)
 
         def add_own(half):
-            clear_columns(*self._halves[half][1], columns.all_sums, columns.all_spans)
+            clear_columns(*self._column_halves[half][1], columns.all_sums, columns.all_spans)
             for number in np.flatnonzero(is_seen.any(axis=0)):
                 add(half, own[number])
 
@@ -539,7 +539,9 @@ class Beamformer:
         out, totals = self._pool.empty(), [0.0, 0.0]
 
         def work(half):
-            totals[half] = weigh_columns(columns.sums, columns.spans, tiles, self._parts[half], gain, out)
+            totals[half] = weigh_columns(
+                columns.sums, columns.spans, tiles, self._tile_halves[half], gain, out
+            )
 
         n_bins, _, _ = count_bins(columns.spans)
         self._run(work, tiles[1].size * n_bins / len(columns.spans) < FEW_PRODUCTS)
@@ -559,7 +561,7 @@ class Beamformer:
         spans[:] = first, past
 
         def sum_columns(half):
-            weigh_columns(columns.sums, columns.spans, near, self._parts[half], gain, out)
+            weigh_columns(columns.sums, columns.spans, near, self._tile_halves[half], gain, out)
             tiles = _half_of(len(condense[0]), half)
             weigh_columns(columns.sums, columns.spans, condense, tiles, NO_GAIN, of_columns)
 

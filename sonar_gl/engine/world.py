@@ -220,6 +220,7 @@ class World:
         self.n_changes += has_changed and not self._is_taking_request()
 
     def _moved(self, bodies) -> tuple[SceneState, dict]:
+        """Return where bodies are with some of them elsewhere, and the poses of plumes; `bodies` as of `state_of`."""
         state = self.engine.meshes.state
         if bodies is None:
             return state, self._plume_poses
@@ -233,7 +234,7 @@ class World:
                     pose if pose is None else check_pose(pose, f"the pose of bubbles {name!r}")
                 )
                 continue
-            index = self._index_of(name, "bodies", plume_poses)
+            index = self._index_of(name, "bodies", plume_poses, self._models)
             present[index] = pose is not None
             if pose is not None:
                 poses[index] = check_pose(pose, f"the pose of body {name!r}")
@@ -256,10 +257,16 @@ class World:
             out |= {part: pose if pose is None else pose @ at for part, at in parts.items()}
         return out | own
 
-    def _index_of(self, name, what: str, plumes=()) -> int:
+    def _index_of(self, name, what: str, plumes=(), models=()) -> int:
+        """Return the index of a body by its name.
+
+        Parameters
+        ----------
+        what : that names it, for the message of an Error
+        plumes, models : names that may stand there, too
+        """
         indices = self._numbered()
         if name not in indices:
-            models = self.scene.models if what == "bodies" else ()
             empty = {model for model in models if not self.scene.parts_of(model)}
             known = {*indices, *plumes, *models} - empty
             raise unknown_body_error(name, known, f"{what} must be bodies of the scene", empty)
