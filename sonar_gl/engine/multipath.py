@@ -162,6 +162,23 @@ class ImageSourceSamples:
         return self.own.sampling.rows * THINNINGS[self.halvings].rows / 2**self.halvings
 
 
+class DirectView(NamedTuple):
+    """The direct view of a ping, by which its image sources are found, and beside which they are drawn.
+
+    Attributes
+    ----------
+    view : ViewSamples
+    pose : (4, 4) world_from_head
+    state : SceneState
+    gain : (K,) float32 of the bins
+    """
+
+    view: ViewSamples
+    pose: np.ndarray
+    state: SceneState
+    gain: np.ndarray
+
+
 class _FoundImage(NamedTuple):
     """The sonar's image behind a reflector that may return an echo, still without samples.
 
@@ -175,6 +192,21 @@ class _FoundImage(NamedTuple):
     reflector: PlanarReflector
     plane: np.ndarray
     pose: ImagePose
+
+
+class _DrawnImage(NamedTuple):
+    """A found image with its samples.
+
+    Attributes
+    ----------
+    found : _FoundImage
+    view : ViewSamples
+    bodies : BodySamples, as if no row was halved
+    """
+
+    found: _FoundImage
+    view: ViewSamples
+    bodies: BodySamples
 
 
 class ImageSources:
@@ -220,10 +252,7 @@ class ImageSources:
         self,
         stage: Stage,
         halvings: int,
-        views: Sequence[ViewSamples],
-        poses,
-        states: Sequence[SceneState],
-        gains: Sequence,
+        pings: Sequence[DirectView],
         coarser: ImageSourceSamples | None = None,
     ) -> list[ImageSourceSamples | None]:
         """Draw the image sources of pings whose direct views `stage` has just drawn; None where there are none.
@@ -231,68 +260,73 @@ class ImageSources:
         Parameters
         ----------
         halvings : how often rows are halved, a key of THINNINGS
-        gains : of the bins, of each ping
         coarser : those of a single ping that too few samples were drawn for, and that these replace; None for none
         """
         # bubbles would have to attenuate each leg by itself
-        states = [state.without_bubbles() for state in states]
-        indices = [view_index(view) for view in views]
+        pings = [ping._replace(state=ping.state.without_bubbles()) for ping in pings]
+        indices = [view_index(ping.view) for ping in pings]
         found = [
             _FoundImage(number, reflector, plane, image_pose(plane))
-            for number, (pose, state, index) in enumerate(zip(poses, states, indices, strict=True))
-            for reflector, plane in self._reflecting(pose, state, index, stage)
+            for number, (ping, index) in enumerate(zip(pings, indices, strict=True))
+            for reflector, plane in self._reflecting(ping, index, stage)
         ]
-        out: list[ImageSourceSamples | None] = [None] * len(poses)
+        out: list[ImageSourceSamples | None] = [None] * len(pings)
         if not found:
             return out
         thinning, numbers = THINNINGS[halvings], sorted({one.number for one in found})
         own, image = self._stages_for(stage, thinning)
-        of_pings = [views[n] for n in numbers], [poses[n] for n in numbers], [states[n] for n in numbers]
-        own_views = self._own_views(own, thinning, *of_pings)
+        own_views = self._own_views(own, thinning, [pings[number] for number in numbers])
         drawing = self._image_stages.stage(stage.sampling) if thinning.is_drawn_alike else image
         image_views = drawing.draw(
-            [poses[one.number] @ one.pose.sonar_from_image for one in found],
-            [states[one.number] for one in found],
+            [pings[one.number].pose @ one.pose.sonar_from_image for one in found],
+            [pings[one.number].state for one in found],
             with_bodies=True,
             planes=[one.pose.clip_plane for one in found],
             keep_last=True,
         )
         step, times_fewer = (thinning.rows, 1) if thinning.is_drawn_alike else (1, thinning.times_fewer)
-        counted = [(drawing, view, gains[one.number]) for one, view in zip(found, image_views, strict=True)]
+        counted = [
+            (drawing, view, pings[one.number].gain) for one, view in zip(found, image_views, strict=True)
+        ]
         if coarser is None:
-            counted += [(stage, views[number], gains[number]) for number in numbers]
+            counted += [(stage, pings[number].view, pings[number].gain) for number in numbers]
         counts = self._count_bodies(counted)
         direct = [coarser.direct] if coarser is not None else counts[len(found) :]
+        images = [
+            _DrawnImage(one, view, BodySamples(met.samples * times_fewer, met.echo))
+            for one, view, met in zip(found, image_views, counts[: len(found)], strict=True)
+        ]
         for number, own_view, of_direct in zip(numbers, own_views, direct, strict=True):
-            mine = [k for k, one in enumerate(found) if one.number == number]
+            ping, index = pings[number], indices[number]
+            mine = [one for one in images if one.found.number == number]
             if coarser is not None:
                 expected = coarser.expected
             else:
-                planes = [found[k].plane for k in mine]
-                expected = self._expect_bodies(stage, views[number], indices[number], planes, of_direct)
+                planes = [one.found.plane for one in mine]
+                expected = self._expect_bodies(stage, ping.view, index, planes, of_direct)
             out[number] = ImageSourceSamples(
                 halvings=halvings,
                 direct=of_direct,
                 expected=expected,
                 imaged=BodySamples(
-                    samples=np.concatenate([counts[k].samples * times_fewer for k in mine]),
-                    echo=np.concatenate([counts[k].echo for k in mine]),
+                    samples=np.concatenate([one.bodies.samples for one in mine]),
+                    echo=np.concatenate([one.bodies.echo for one in mine]),
                 ),
                 single_bounce=self._single_bounce,
                 own=own,
                 image=image,
                 sources=tuple(
                     ImageSource(
-                        reflector=found[k].reflector,
-                        plane=found[k].plane,
-                        ceiling=self._ceiling(poses[number]),
-                        pose=found[k].pose,
+                        reflector=one.found.reflector,
+                        plane=one.found.plane,
+                        ceiling=self._ceiling(ping.pose),
+                        pose=one.found.pose,
                         own_view=own_view,
-                        image_view=[every_row(one, step) for one in image_views[k].sectors],
-                        own_index=indices[number],
-                        image_index=view_index(image_views[k]),
+                        image_view=[every_row(sector, step) for sector in one.view.sectors],
+                        own_index=index,
+                        image_index=view_index(one.view),
                     )
-                    for k in mine
+                    for one in mine
                 ),
             )
         return out
@@ -310,19 +344,15 @@ class ImageSources:
         return self._own_stages.stage(sampling), self._image_stages.stage(sampling)
 
     def _own_views(
-        self,
-        own: Stage,
-        thinning: Thinning,
-        views: Sequence[ViewSamples],
-        poses,
-        states: Sequence[SceneState],
+        self, own: Stage, thinning: Thinning, pings: Sequence[DirectView]
     ) -> list[Sequence[SectorSamples]]:
         """Return the sonar's own samples of pings: rows of their direct views, or others where these do not serve."""
-        must_draw = self._has_lobes or any(view.bubbles is not None for view in views)
+        must_draw = self._has_lobes or any(ping.view.bubbles is not None for ping in pings)
         # of fewer rows than all, the outermost that is left of a window might meet a surface
         if must_draw or not thinning.is_drawn_alike:
+            poses, states = [ping.pose for ping in pings], [ping.state for ping in pings]
             return [view.sectors for view in own.draw(poses, states, keep_last=True)]
-        return [[every_row(one, thinning.rows) for one in view.sectors] for view in views]
+        return [[every_row(one, thinning.rows) for one in ping.view.sectors] for ping in pings]
 
     def _count_bodies(self, views: Sequence[tuple[Stage, ViewSamples, np.ndarray]]) -> list[BodySamples]:
         """Count the samples on each body, by every so-manieth row where there are many.
@@ -370,12 +400,15 @@ class ImageSources:
         share = np.divide(one_way, echo, out=np.ones_like(echo), where=echo > 0)
         return BodySamples((times * direct.samples).ravel(), (share * direct.echo).ravel())
 
-    def _reflecting(self, pose, state: SceneState, index: ViewIndex, stage: Stage) -> list[tuple]:
+    def _reflecting(
+        self, ping: DirectView, index: ViewIndex, stage: Stage
+    ) -> list[tuple[PlanarReflector, np.ndarray]]:
         """Return the reflectors that may return more than the tolerance, one of each plane, each with it.
 
         Of several bodies in one plane, such as a floor and what stands on it, it is the largest. A plane is (4,) normal
         and offset in the sonar's frame, the offset positive.
         """
+        pose, state = ping.pose, ping.state
         found = [one for one in self._reflectors if one.body is None or state.present[one.body]]
         if not found:
             return []

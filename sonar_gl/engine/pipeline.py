@@ -27,7 +27,7 @@ from sonar_gl.engine.flow import DrawnPing, FurtherStates, PingReport, PingSetup
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.level_search import ChosenView, LevelSearch
 from sonar_gl.engine.motion import shown_in_motion
-from sonar_gl.engine.multipath import ImageSources, ImageSourceSamples, receive_images
+from sonar_gl.engine.multipath import DirectView, ImageSources, ImageSourceSamples, receive_images
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
@@ -218,9 +218,11 @@ def draw_images(
     """
     if sources is None:
         return [None] * len(setups)
-    poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
-    gains = [setup.gain for setup in setups]
-    return sources.draw(resolution.stage, resolution.halvings, views, poses, states, gains, coarser)
+    pings = [
+        DirectView(view, setup.head_pose, setup.state, setup.gain)
+        for view, setup in zip(views, setups, strict=True)
+    ]
+    return sources.draw(resolution.stage, resolution.halvings, pings, coarser)
 
 
 def further_states(setup: PingSetup) -> FurtherStates:

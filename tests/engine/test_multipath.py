@@ -367,10 +367,9 @@ def test_weak_reflectors_are_not_drawn(perfect, monkeypatch):
             images = multipath.ImageSources(run.stages, run.world.thread, scene, 0.01)
             stage, state = run.sampler.resolution.stage, run.world.state_of(None)
             with run.drawing():
-                views = stage.draw([pose], [state], with_bodies=True)
-                (found,) = images.draw(
-                    stage, multipath.COARSEST, views, [pose], [state], [run.instrument.gain]
-                )
+                (view,) = stage.draw([pose], [state], with_bodies=True)
+                ping = multipath.DirectView(view, pose, state, run.instrument.gain)
+                (found,) = images.draw(stage, multipath.COARSEST, [ping])
             assert (0 if found is None else len(found.sources)) == n_sources, loss
 
 
