@@ -10,7 +10,9 @@ from sonar_gl.scene.reflectors import N_SINES, planar_reflectors
 from tests.support.two_bounces import LIFT_M, SURFACE, RayCaster
 
 ON_PLANE_M = 2e-3  # from a reflector's plane, its own surface
+THERE_M = 10 * ON_PLANE_M  # from where a ray should meet a reflector
 MAX_SINE = np.sin(np.radians(80.0))  # of elevations: far into the side lobes
+EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
 LEAST_REFLECTION = 0.01  # of the intensity at 45 degrees: reflectors that are left out return less
 
 
@@ -35,7 +37,7 @@ class TwoReflectors:
         k = 2 * np.pi * sonar.frequency_hz / acoustics.water.sound_speed()
         reflectors = planar_reflectors(scene, k, acoustics.water.wave_height_m())
         poses = np.stack([body.pose for body in scene.bodies])
-        self.planes, self.bodies, self.tables = [], [], []
+        self.planes, self.bodies, self.tables, self.boxes = [], [], [], []
         for one in reflectors:
             if np.interp(np.sin(np.pi / 4), np.linspace(0, 1, N_SINES), one.reflection_coefficient) < (
                 LEAST_REFLECTION
@@ -45,6 +47,7 @@ class TwoReflectors:
             self.planes.append((normal @ pose[:3, :3], offset - normal @ pose[:3, 3]))
             self.bodies.append(SURFACE if one.body is None else one.body)
             self.tables.append(one.reflection_coefficient)
+            self.boxes.append(EVERYWHERE if one.body is None else _box_of(scene.bodies[one.body], pose))
         surface = self.planes[self.bodies.index(SURFACE)] if SURFACE in self.bodies else None
         self.caster = RayCaster(scene, pose, surface)
 
@@ -64,39 +67,47 @@ class TwoReflectors:
         sine = np.abs(direction @ self.planes[reflector][0])
         return np.interp(sine, np.linspace(0, 1, N_SINES), self.tables[reflector])
 
-    def joined(self, place, face_normal, leg: tuple[int, ...]):
+    def joined(self, place, face_normal, leg: tuple[int, ...], within_m):
         """Join places to the sonar by reflectors; the leg names them from the sonar on.
+
+        Rays are cast only for places whose way may still be open, since they take most of the time.
+
+        within_m : how long the way from each place may be
 
         Returns
         -------
-        length, reflection, cos θ at the place (0 where the way is not open), (n, 3) direction at the sonar
+        numbers of the places whose way is open; of each of these length, reflection, cos θ at the place, and (n, 3)
+        direction at the sonar
         """
         images = [np.zeros(3)]
         for reflector in leg:
             normal, offset = self.planes[reflector]
             images.append(images[-1] + 2 * (offset - images[-1] @ normal) * normal)
         length = np.linalg.norm(place - images[-1], axis=1)
-        at, lift, loss = place.copy(), face_normal, np.ones(len(place))
-        toward = (images[-1] - at) / length[:, None]
-        cosine = (toward * face_normal).sum(axis=1)
-        is_open = cosine > 0
+        cosine = (((images[-1] - place) / length[:, None]) * face_normal).sum(axis=1)
+        which = np.flatnonzero((cosine > 0) & (length < within_m))
+        at, lift, loss = place[which], face_normal[which], np.ones(len(which))
         for reflector, image in zip(leg[::-1], images[::-1], strict=False):
             toward = (image - at) / np.linalg.norm(image - at, axis=1)[:, None]
             normal, offset = self.planes[reflector]
             with np.errstate(divide="ignore", invalid="ignore"):
                 there = (offset - at @ normal) / (toward @ normal)
+                spot = at + there[:, None] * toward
+                low, high = self.boxes[reflector]
+                may_meet = (there > 0) & ((spot > low - THERE_M) & (spot < high + THERE_M)).all(axis=1)
+            which, at, lift, loss, toward, there, spot = (
+                one[may_meet] for one in (which, at, lift, loss, toward, there, spot)
+            )
             distance, turned, body, _ = self.hits(at + LIFT_M * lift, toward)
-            there = np.where(np.isfinite(there) & (there > 0), there, -1.0)
-            spot = at + there[:, None] * toward
-            is_open &= (there > 0) & (np.abs(distance - there) < ON_PLANE_M * 10)
-            is_open &= self.is_on(reflector, body, spot)
+            is_open = (np.abs(distance - there) < THERE_M) & self.is_on(reflector, body, spot)
             loss *= self.reflection(reflector, toward)
-            at, lift = spot, turned
+            which, at, lift, loss = (one[is_open] for one in (which, spot, turned, loss))
         to_sonar = np.linalg.norm(at, axis=1)
         toward = -at / np.maximum(to_sonar, 1e-9)[:, None]
         distance, *_ = self.hits(at + LIFT_M * lift, toward)
-        is_open &= distance > to_sonar - 20 * LIFT_M
-        return length, loss, np.where(is_open, cosine, 0.0), -toward
+        is_open = distance > to_sonar - 20 * LIFT_M
+        which, loss, direction = which[is_open], loss[is_open], -toward[is_open]
+        return which, length[which], loss, cosine[which], direction
 
     def ping(self, n_rays: int, seed: int = 0, batch: int = 500_000):
         """Return (B, K) multipath over one reflector, and over two, for a range gain of 1."""
@@ -148,11 +159,11 @@ class TwoReflectors:
     def _add(self, out, outward, scattering, leg, other) -> None:
         """Add paths that go out by one leg and back by another; those that go out straight the other way round, too."""
         (sent, weight, length), (place, facing, mu, direction) = outward, scattering
-        if not len(place):
-            return
-        back, loss, cosine, arriving = self.joined(place, facing, other)
+        within_m = 2 * self.sonar.range_max_m - length
+        which, back, loss, cosine, arriving = self.joined(place, facing, other, within_m)
+        sent, weight, length, mu = (one[which] for one in (sent, weight, length, mu))
         if other == leg:  # reflected twice by one plane: the way back is that out
-            cosine = np.where(cosine > 0, np.abs((direction * facing).sum(axis=1)), 0.0)
+            cosine = np.abs((direction[which] * facing[which]).sum(axis=1))
         mean = (length + back) / 2
         energy = mu * cosine * weight * loss * (mean / back) ** 2
         energy *= np.sqrt(self.pattern(np.clip(arriving[:, 2], -1, 1)))
@@ -180,3 +191,10 @@ class TwoReflectors:
         kernel[[0, -1]] *= (steps - (2 * reach - 1)) / 2
         padded = np.apply_along_axis(np.convolve, 0, image, kernel, "same")
         return padded[self.around : -self.around]
+
+
+def _box_of(body, pose) -> np.ndarray:
+    """Return (2, 3) lowest and highest coordinates of a body in the frame of a sonar at a pose."""
+    m = np.linalg.inv(pose) @ body.pose
+    vertices = np.asarray(body.surface.vertices) @ m[:3, :3].T + m[:3, 3]
+    return np.array([vertices.min(axis=0), vertices.max(axis=0)])
