@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,22 @@ THERE_M = 10 * ON_PLANE_M  # from where a ray should meet a reflector
 MAX_SINE = np.sin(np.radians(80.0))  # of elevations: far into the side lobes
 EVERYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
 LEAST_REFLECTION = 0.01  # of the intensity at 45 degrees: reflectors that are left out return less
+
+
+class Reflector(NamedTuple):
+    """A planar reflector in the frame of the sonar.
+
+    normal, offset_m : of its plane, normal . x = offset
+    body : number of its body, or SURFACE
+    reflected : (N_SINES,) intensity by the sine of the grazing angle
+    box : (2, 3) lowest and highest coordinates of its body
+    """
+
+    normal: np.ndarray
+    offset_m: float
+    body: int
+    reflected: np.ndarray
+    box: np.ndarray
 
 
 class TwoReflectors:
@@ -37,18 +54,19 @@ class TwoReflectors:
         k = 2 * np.pi * sonar.frequency_hz / acoustics.water.sound_speed()
         reflectors = planar_reflectors(scene, k, acoustics.water.wave_height_m())
         poses = np.stack([body.pose for body in scene.bodies])
-        self.planes, self.bodies, self.tables, self.boxes = [], [], [], []
+        self.reflectors = []
         for one in reflectors:
             if np.interp(np.sin(np.pi / 4), np.linspace(0, 1, N_SINES), one.reflection_coefficient) < (
                 LEAST_REFLECTION
             ):
                 continue
             normal, offset = one.in_world(poses)
-            self.planes.append((normal @ pose[:3, :3], offset - normal @ pose[:3, 3]))
-            self.bodies.append(SURFACE if one.body is None else one.body)
-            self.tables.append(one.reflection_coefficient)
-            self.boxes.append(EVERYWHERE if one.body is None else _box_of(scene.bodies[one.body], pose))
-        surface = self.planes[self.bodies.index(SURFACE)] if SURFACE in self.bodies else None
+            plane = normal @ pose[:3, :3], offset - normal @ pose[:3, 3]
+            body, box = SURFACE, EVERYWHERE
+            if one.body is not None:
+                body, box = one.body, _box_of(scene.bodies[one.body], pose)
+            self.reflectors.append(Reflector(*plane, body, one.reflection_coefficient, box))
+        surface = next((one[:2] for one in self.reflectors if one.body == SURFACE), None)
         self.caster = RayCaster(scene, pose, surface)
 
     def hits(self, origins, directions):
@@ -59,13 +77,13 @@ class TwoReflectors:
 
     def is_on(self, reflector: int, body, place):
         """Return whether places on bodies lie on a reflector."""
-        normal, offset = self.planes[reflector]
-        return (body == self.bodies[reflector]) & (np.abs(place @ normal - offset) < ON_PLANE_M)
+        one = self.reflectors[reflector]
+        return (body == one.body) & (np.abs(place @ one.normal - one.offset_m) < ON_PLANE_M)
 
     def reflection(self, reflector: int, direction):
         """Return the intensity reflection coefficient for directions of rays."""
-        sine = np.abs(direction @ self.planes[reflector][0])
-        return np.interp(sine, np.linspace(0, 1, N_SINES), self.tables[reflector])
+        one = self.reflectors[reflector]
+        return np.interp(np.abs(direction @ one.normal), np.linspace(0, 1, N_SINES), one.reflected)
 
     def joined(self, place, face_normal, leg: tuple[int, ...], within_m):
         """Join places to the sonar by reflectors; the leg names them from the sonar on.
@@ -81,7 +99,7 @@ class TwoReflectors:
         """
         images = [np.zeros(3)]
         for reflector in leg:
-            normal, offset = self.planes[reflector]
+            normal, offset, *_ = self.reflectors[reflector]
             images.append(images[-1] + 2 * (offset - images[-1] @ normal) * normal)
         length = np.linalg.norm(place - images[-1], axis=1)
         cosine = (((images[-1] - place) / length[:, None]) * face_normal).sum(axis=1)
@@ -89,11 +107,10 @@ class TwoReflectors:
         at, lift, loss = place[which], face_normal[which], np.ones(len(which))
         for reflector, image in zip(leg[::-1], images[::-1], strict=False):
             toward = (image - at) / np.linalg.norm(image - at, axis=1)[:, None]
-            normal, offset = self.planes[reflector]
+            normal, offset, *_, (low, high) = self.reflectors[reflector]
             with np.errstate(divide="ignore", invalid="ignore"):
                 there = (offset - at @ normal) / (toward @ normal)
                 spot = at + there[:, None] * toward
-                low, high = self.boxes[reflector]
                 may_meet = (there > 0) & ((spot > low - THERE_M) & (spot < high + THERE_M)).all(axis=1)
             which, at, lift, loss, toward, there, spot = (
                 one[may_meet] for one in (which, at, lift, loss, toward, there, spot)
@@ -115,7 +132,7 @@ class TwoReflectors:
         half = self.half = np.radians(sonar.azimuth_fov_deg + sonar.beam_width_deg) / 2
         self.spacing = np.diff(sonar.azimuth_rad).mean()
         self.around = int(np.ceil((half - sonar.azimuth_rad[-1]) / self.spacing)) + 2
-        n = len(self.planes)
+        n = len(self.reflectors)
         legs = [(), *((a,) for a in range(n))]
         twice = [(a, b) for a, b in product(range(n), repeat=2) if a != b]
         out = np.zeros((2, sonar.n_beams + 2 * self.around, sonar.n_bins))
