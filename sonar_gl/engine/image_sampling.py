@@ -186,8 +186,9 @@ class ImageSampling:
         choice, own = self.choice, echo.images.halvings
         if not choice.is_fixed:
             error = choice.error if coarser is None else echo.error_against(coarser)
+            wanted = self._halvings_for(echo, error)
             # coarser only where they would stay so: otherwise they flicker
-            wanted, kept = (self._halvings_for(echo, times, error) for times in (1, 2))
+            kept = self._halvings_for(echo, error, margin=2)
             if coarser is not None:  # estimates from few samples are rough
                 wanted = max(wanted, own - 1)
             self.choice = choice = choice._replace(
@@ -238,27 +239,24 @@ class ImageSampling:
         fewer = THINNINGS[images.halvings].times_fewer
         return max(of_bins, _error_by_samples(share, images.imaged, fewer) / WORST_BODY)
 
-    def _halvings_for(self, echo: MultipathEcho, times: int, error: MultipathError | None) -> int:
+    def _halvings_for(self, echo: MultipathEcho, known: MultipathError | None, margin: int = 1) -> int:
         """Return how often rows may be halved.
 
-        times : so many times the multipath is taken to be there, and so many times fewer samples
-        error : `known` of `_expected_error`
+        known : of `_expected_error`
+        margin : that would do for so many times the multipath, and so many times fewer samples, too
         """
-        share, images = times * echo.share, echo.images
-        direct, fewest = images.direct, images.direct.samples.sum()
-        for of_view in (direct, images.expected):
-            counts = MULTIPATH_GAIN * of_view.echo > MIN_SHARE * direct.echo.sum()
-            fewest = min(of_view.samples[counts].min(initial=math.inf), fewest)
+        share, images = margin * echo.share, echo.images
+        direct, fewest = images.direct, _fewest_samples(images)
         # what the direct echo leaves of the tolerance is multipath's
         most = self._tolerance * (1 + (1 - USUAL_DIRECT_ERROR) / max(share, 1e-30))
         finest = _finest_for(images)
         for halvings in range(COARSEST, finest, -1):
-            fewer = times * THINNINGS[halvings].times_fewer
+            fewer = margin * THINNINGS[halvings].times_fewer
             errors = [_error_by_samples(share, one, fewer) for one in (direct, images.imaged)]
             bodies_err = fewest < LEAST_ON_BODY * fewer or max(errors) > self._tolerance * (1 + share)
             # finer samples than those of the direct echo do not help bodies that have too few there
             is_enough = halvings <= 0 or not bodies_err
-            if is_enough and self._expected_error(images, halvings, error) * times**HALVING_RATE <= most:
+            if is_enough and self._expected_error(images, halvings, known) * margin**HALVING_RATE <= most:
                 return halvings
         return finest
 
@@ -274,6 +272,15 @@ class ImageSampling:
         if halvings == COARSEST:
             return FIRST_ERROR
         return USUAL_ERROR * self._tolerance * 2.0 ** (HALVING_RATE * halvings)
+
+
+def _fewest_samples(images: ImageSourceSamples) -> float:
+    """Return the fewest samples on any body whose multipath may count, where the sonar sees it or an image should."""
+    direct, fewest = images.direct, images.direct.samples.sum()
+    for of_view in (direct, images.expected):
+        counts = MULTIPATH_GAIN * of_view.echo > MIN_SHARE * direct.echo.sum()
+        fewest = min(of_view.samples[counts].min(initial=math.inf), fewest)
+    return fewest
 
 
 def _finest_for(images: ImageSourceSamples) -> int:
