@@ -923,8 +923,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/height of rows",
-        "_aperture_deg(sonar) / MAX_ROW_DEG",
-        "_aperture_deg(sonar) / (8 * MAX_ROW_DEG)",
+        "rows = max(math.ceil(_aperture_deg(sonar) / sample_deg), fewest_rows(sonar))",
+        "rows = fewest_rows(sonar)",
         ADAPTIVE,
     ),
     Mutation(
