@@ -945,19 +945,26 @@ def test_one_core_has_no_thread_make_pings(handed_over, monkeypatch):
 
 def test_the_caller_makes_pings_while_it_waits_for_the_first(it, monkeypatch):
     monkeypatch.setattr(sequence, "n_threads", lambda: 2)
-    expected, receive, has_made = [it.ping(pose) for pose in POSES], pipeline.receive, threading.Event()
+    expected, receive = [it.ping(pose) for pose in POSES], pipeline.receive
+    has_begun, has_made = threading.Event(), threading.Event()
 
     def wait_for_the_caller(drawn):
         if threading.current_thread() is threading.main_thread():
             has_made.set()
         else:
+            has_begun.set()
             assert has_made.wait(60)
         return receive(drawn)
 
+    class Waiting(JobThreads):
+        def submit(self, job):
+            super().submit(job)
+            assert has_begun.wait(60)  # else the caller may come first, and make the first ping
+
     monkeypatch.setattr(ping_worker, "receive", wait_for_the_caller)
+    monkeypatch.setattr(sequence, "JobThreads", Waiting)
     for ping, other in zip(it.pings(POSES), expected, strict=True):
         check_same(ping, other)
-    assert has_made.is_set()
 
 
 def test_threads_and_the_caller_are_as_many_as_the_cores(monkeypatch):
