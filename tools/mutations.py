@@ -1004,8 +1004,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/samples that fit again",
-        "finest = self.search.finest self._stages.drop_large()",
-        "self._stages.drop_large()",
+        "level, finest = (finer or [wanted])[-1], choice.finest if level < choice.level: finest = self.search.finest",
+        "level, finest = (finer or [wanted])[-1], choice.finest",
         (MOVED_LEVEL,),
     ),
     Mutation(
@@ -1016,8 +1016,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/costs of another place",
-        "costs = (float(plan.n_samples + FIXED_SAMPLES),)",
-        "costs = *history.costs, float(plan.n_samples + FIXED_SAMPLES)",
+        "costs = (float(plan.n_samples + self._fixed_cost),)",
+        "costs = *history.costs, float(plan.n_samples + self._fixed_cost)",
         (AFTER_ONE_ALONE,),
     ),
     Mutation(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -18,6 +19,9 @@ from sonar_gl.core.array_pool import ArrayPools
 # what is not used takes no memory.
 SLOTS, RUNS, POOL = 16, 1 << 14, 1 << 22
 KEPT_COLUMNS = 2  # of a lattice and of its mirror image
+# Room for so many times the columns that are asked for. What is not used takes no memory. A table that has to grow in a
+# live loop is new memory, whose first use takes longer than the sums.
+ROOM = 1.5
 T = TypeVar("T")
 
 
@@ -128,6 +132,7 @@ class Workspace:
         n_rows = n_columns + n_wide_columns
         kept_columns, kept = self._sums
         if kept is None or kept.all_sums.shape[1] != n_bins or len(kept.all_sums) < n_rows:
+            n_rows = math.ceil(ROOM * n_rows)
             sums, spans = np.zeros((n_rows, n_bins), np.float32), np.tile([n_bins, 0], (n_rows, 1))
         elif kept_columns == n_columns:
             return kept

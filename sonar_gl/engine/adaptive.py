@@ -17,7 +17,7 @@ import numpy as np
 from sonar_gl.core.checks import text_beside
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.engine.error_model import COARSER, Judgement
+from sonar_gl.engine.error_model import Judgement
 from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.replan_trigger import ReplanTrigger
@@ -25,9 +25,10 @@ from sonar_gl.engine.stage import StageCache
 from sonar_gl.sonar.sampling import LEVELS_PER_HALF, WORST_BODY, ToleranceWarning
 
 CHECK_CHANGE = 0.2  # of the whole echo
-# A ping may cost so many times the median of so many before it; what takes the time of a ping beside its samples costs
-# as much as so many more, also in a check. By the pings of `tools/bench live`.
-MOST_COST, RECENT, FIXED_SAMPLES = 2.4, 100, 45_000
+# A ping may cost so many times the median of so many before it, and the first one with finer samples, which takes new
+# memory, so many times. Beside its samples a ping takes the time of so many more, and of one for each bin of each beam;
+# with a check it takes so many times as long. By the pings of `tools/bench live`.
+MOST_COST, MOST_FINER_COST, RECENT, FIXED_SAMPLES, CHECK_COST = 2.3, 1.65, 100, 45_000, 2.1
 
 
 class LastCheck(NamedTuple):
@@ -109,6 +110,7 @@ class AdaptiveSampling:
         self.tolerance = self._model.tolerance
         self._trigger, self._has_warned = ReplanTrigger(self._sonar, self._model.greatest_backscatter), False
         self.choice, self.history = Choice(self.search.usual, self.search.finest), PingHistory()
+        self._fixed_cost = FIXED_SAMPLES + self._sonar.n_beams * self._sonar.n_bins
         self._resolution = None, None  # the last level, and its Resolution
 
     @property
@@ -132,6 +134,7 @@ class AdaptiveSampling:
         if check and self.plan is None:
             return self._search(setup, self.choice.level)
         resolution = self.resolution
+        self._stages.settle(resolution.stage.fan.n_samples)
         if self.choice.is_due and not check:  # before the check, which would have to make it
             self._model.coarser_stage(resolution.stage)
         return replace(resolution, check=check)
@@ -184,17 +187,15 @@ class AdaptiveSampling:
     def _moved(self, choice: Choice, level: int) -> Choice:
         """Return a choice of finer or coarser samples for the next pings, which are to be checked.
 
-        Finer by steps that can be checked at once; where a ping may not cost as much, without a check for now. The
-        estimate remains that of the last check: above the tolerance, if it asked for finer samples.
+        As fine as a ping may cost, also where it may not cost the check for now. The estimate remains that of the last
+        check: above the tolerance, if it asked for finer samples.
         """
-        wanted, most = max(0, min(level, choice.finest)), self._most_cost(self.history)
+        wanted, most = max(0, min(level, choice.finest)), MOST_FINER_COST * median(self.history.costs)
         finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
-        checkable = [n for n in finer if self._cost(n, check=True) <= most]
         # coarser where none is finer: the next finer level costs less than the check that asked for it
-        level, finest = (checkable or finer or [wanted])[-1], choice.finest
+        level, finest = (finer or [wanted])[-1], choice.finest
         if level < choice.level:
             finest = self.search.finest
-            self._stages.drop_large()
         following = self.history._replace(costs=self._costs_with(level))
         if self._cost(level, check=True) <= self._most_cost(following):
             # made by this ping, since the next one is checked, and may have to make the coarser stage
@@ -207,9 +208,8 @@ class AdaptiveSampling:
         per_count = stage.fan.n_samples / stage.sampling.count(self._sonar)
         # each ping asks for that of its own level, which the stage has at hand
         sampling = stage.sampling if level == self.choice.level else self._model.sampling_at(level)
-        n_samples = per_count * sampling.count(self._sonar)
-        cost = n_samples + FIXED_SAMPLES
-        return cost + n_samples / COARSER + FIXED_SAMPLES if check else cost
+        cost = per_count * sampling.count(self._sonar) + self._fixed_cost
+        return CHECK_COST * cost if check else cost
 
     def _most_cost(self, history: PingHistory) -> float:
         """Return the most that the last ping of a history may cost; it is one of those that say so itself."""
@@ -299,7 +299,7 @@ class AdaptiveSampling:
         choice = Choice(plan.level, finest, plan, LastCheck(setup, total, n_pings))
         history = self.history
         if n_pings >= history.n_pings:  # else later ones were added meanwhile
-            costs = (float(plan.n_samples + FIXED_SAMPLES),)  # another place has other costs
+            costs = (float(plan.n_samples + self._fixed_cost),)  # another place has other costs
             history = PingHistory(n_pings, setup, costs)
         # in one step: a ping near the one before this, after an interrupt between, would follow this choice
         self.choice, self.history = choice, history

@@ -25,7 +25,7 @@ from sonar_gl.sonar.sonar import Sonar
 MAX_STAGES = 48  # the levels of pings that choose their samples alone, of image sources at each halving
 MAX_BYTES = 40e6  # of tables in all stages but the last two
 # The memory of views is given back where so many in a row have so many times fewer samples than the largest before.
-KEPT_VIEWS, MUCH_FEWER = 16, 4
+KEPT_VIEWS, MUCH_FEWER = 100, 4
 
 
 @dataclass(frozen=True, eq=False)

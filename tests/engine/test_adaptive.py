@@ -23,7 +23,7 @@ from sonar_gl.engine.multipath import COARSEST, ImageSources
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.engine.stage import Stage, StageCache
+from sonar_gl.engine.stage import KEPT_VIEWS, Stage, StageCache
 from sonar_gl.engine.visibility import (
     BodyCounts,
     BodyExtents,
@@ -349,7 +349,7 @@ class TestMoving:
     def test_a_check_moves_the_level_as_far_as_there_are_samples(
         self, level, finest, steps, expected, monkeypatch
     ):
-        """And has the new level checked; at any cost, here. Its stage is made already, and memory given back."""
+        """And has the new level checked; at any cost, here. Its stage is made already, and no memory given back yet."""
         judge, make, made, dropped = error_model.ErrorModel.judge, StageCache.make, [], []
 
         def judged(*arguments):
@@ -372,8 +372,22 @@ class TestMoving:
             with simulator.run.drawing():
                 assert sampler.resolution.stage.sampling == sampling_at(SONAR, choice.level)
         assert (choice.level, choice.finest, choice.is_due) == expected
-        assert not made and len(dropped) == (choice.level < level)
+        assert not made and not dropped
         assert [one.category for one in caught] == [ToleranceWarning] * (steps > 0 and level == finest)
+
+    def test_memory_is_given_back_once_many_pings_had_far_fewer_samples(self, monkeypatch):
+        """A sonar that turns to and fro would take it anew each time, which takes longer than its samples."""
+        dropped = []
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            sampler = simulator.run.sampler
+            monkeypatch.setattr(StageCache, "drop_large", lambda _: dropped.append(1))
+            for level in (12, 2):
+                sampler.choice = replace(sampler.choice, level=level, is_due=False)
+                for number in range(KEPT_VIEWS):
+                    assert not dropped, number
+                    simulator.ping(np.eye(4))
+        assert len(dropped) == 1
 
     def test_the_next_pings_follow_one_whose_samples_were_chosen_alone(self, monkeypatch):
         """With its costs alone, and no finer samples than fit there; not where its request asked for that."""
@@ -405,7 +419,8 @@ class TestMoving:
                     contextlib.nullcontext() if n_pings > history.n_pings else pytest.warns(ToleranceWarning)
                 ):
                     sampler.follow(setup, unmet, 7.0, n_pings)
-                assert sampler.history == (n_pings, setup, (plan.n_samples + adaptive.FIXED_SAMPLES,))
+                cost = plan.n_samples + adaptive.FIXED_SAMPLES + SONAR.n_beams * SONAR.n_bins
+                assert sampler.history == (n_pings, setup, (cost,))
                 assert (sampler.choice.level, sampler.choice.finest) == (5, 5)
 
     def test_no_ping_tries_what_did_not_fit_in_the_first(self, monkeypatch):
