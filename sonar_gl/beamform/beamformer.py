@@ -168,12 +168,13 @@ def fitted_to_columns(
     acoustics: Acoustics,
     sampling: Sampling,
     shear: float = SHEAR,
+    widths: ColumnWidths = USUAL_WIDTHS,
     workspace: Workspace | None = None,
 ) -> Sampling:
     """Return the `fitted_sampling` of a sonar; parameters as for `make_beamformer`."""
     workspace = workspace or Workspace()
     design = workspace.once(("design", True), lambda: _design_of(sonar, acoustics, True))
-    return fitted_sampling(sonar, sampling, design.beams, shear)
+    return fitted_sampling(sonar, sampling, design.beams, shear, widths)
 
 
 class _Design(NamedTuple):

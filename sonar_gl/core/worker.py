@@ -124,7 +124,7 @@ def _serve(queue: SimpleQueue) -> None:
     while (job := queue.get()) is not None:
         job.begin()
         job = None
-    queue.put(None)  # for the next thread; an interrupted start may leave one more
+    queue.put(None)  # for the next thread; an interrupted start may leave some more
 
 
 class JobThreads:

@@ -127,7 +127,7 @@ class ErrorModel:
         return self._stages.engine.meshes.bodies
 
     def sampling_at(self, level: int) -> Sampling:
-        """Return the samples of a sampling level."""
+        """Return the samples of a sampling level, fitted to the columns of the fan."""
         return self._stages.fitted(sampling_at(self._sonar, level))
 
     def stage_at(self, level: int) -> Stage:

@@ -204,7 +204,7 @@ class Run:
 
     def keep_workers(self, workers: Sequence) -> None:
         """Keep workers of a sequence that is over for the next one; as many at most as this sequence had."""
-        if not self._is_closed:  # a closed run would keep their stages in memory
+        if workers and not self._is_closed:  # a closed run would keep their stages in memory
             self._idle_workers[:] = [*self._idle_workers, *workers][-len(workers) :]
 
     def review(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> Resolution | None:

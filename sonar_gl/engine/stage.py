@@ -131,7 +131,7 @@ class StageCache:
 
     def fitted(self, sampling: Sampling, shear: float = SHEAR) -> Sampling:
         """Return about as many samples, as wide as whole columns; see `fitted_sampling`."""
-        return fitted_to_columns(self.sonar, self.acoustics, sampling, shear, self._workspace)
+        return fitted_to_columns(self.sonar, self.acoustics, sampling, shear, self._widths, self._workspace)
 
     def settle(self, n_samples: int) -> None:
         """Note how many samples a view has; give back the memory of larger ones if many in a row have far fewer.

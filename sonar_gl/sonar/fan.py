@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from itertools import chain, pairwise
+from itertools import chain, count, pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.core.checks import frozen_array
-from sonar_gl.sonar.sampling import MAX_ROWS, Sampling, fewest_rows
+from sonar_gl.sonar.sampling import MAX_COLUMNS_PER_BEAM, MAX_ROWS, Sampling, fewest_rows
 from sonar_gl.sonar.sector import (
     MAX_AZIMUTH_RAD,
     MAX_CONE_RAD,
@@ -42,7 +42,8 @@ SURFACE_MARGIN_M = 1e-3
 MAX_SECTOR_RAD = math.radians(60.0)
 # A column takes the mean of a smooth beam pattern over its width. It is as wide as a sample, but at most half a beam
 # spacing, and at most half a part of a beam, since the range of a slanted wall changes across a column. It is at least
-# the half-width of the pattern's support (about four beam widths) over this number.
+# about the half-width of the pattern's support (about four beam widths) over this number. Upright ones are √2 times as
+# wide in the lattice that a ping is compared with.
 COLUMNS_PER_SUPPORT = 128
 PARTS_PER_BEAM = 4  # of its −3 dB width
 # Samples that are wider than upright columns are best as wide as so many of them, which divide the number of columns of
@@ -195,7 +196,7 @@ def make_fan(
         edges = _column_edges(sonar, (start, stop), seams, sample_rad, beams, widths)
     else:
         limits = _limits_of_columns(sonar, views, beams, shear, widths)
-        edges = _upright_edges(seams, limits.count(samples_per_sector))
+        edges = _upright_edges(seams, limits.n_columns(samples_per_sector))
     wide_edges, of_side_lobes = np.zeros(1, np.int64), (edges, 0)
     if len(bands) > 1 and not beams.is_box:
         # The lattice that a ping is compared with has wider ones, so that the difference holds their error.
@@ -240,7 +241,8 @@ def fitted_sampling(
 ) -> Sampling:
     """Return about as many samples, each as wide as some whole columns of the fan, or some of them as one column.
 
-    Unless beams are boxes or cones, whose columns have widths of their own. Parameters are as for `make_fan`.
+    Unless beams are boxes or cones, whose columns have widths of their own, or there would be more than
+    MAX_COLUMNS_PER_BEAM. There are more samples where rows are as few as they may be. Parameters are as for `make_fan`.
     """
     if beams.is_box or beams.are_cones:
         return sampling
@@ -248,27 +250,25 @@ def fitted_sampling(
     wanted = _samples_across(sonar, sampling, views)
     wider = wanted / _limits_of_columns(sonar, views, beams, shear, widths).fitted(wanted)
     rows = max(round(sampling.rows * wider), min(sampling.rows, fewest_rows(sonar)))
-    return replace(sampling, columns_per_beam=sampling.columns_per_beam / wider, rows=min(rows, MAX_ROWS))
+    columns_per_beam = min(sampling.columns_per_beam / wider, MAX_COLUMNS_PER_BEAM)
+    return replace(sampling, columns_per_beam=columns_per_beam, rows=min(rows, MAX_ROWS))
 
 
 class _ColumnLimits(NamedTuple):
-    """The number of upright columns of a view: at least, which all COLUMNS_PER_SAMPLE divide, and at most."""
+    """The number of upright columns of a view: the fewest, which all COLUMNS_PER_SAMPLE divide, and the most, about."""
 
     fewest: int
     most: int
 
-    def count(self, n_samples: int) -> int:
-        """Return the number of columns under so many samples across: as many, or a whole part of them."""
-        if n_samples <= self.fewest:
-            return self.fewest
-        return math.ceil(n_samples / max(round(n_samples / self.most), 1))
+    def n_columns(self, n_samples: int) -> int:
+        """Return the number of columns under so many samples across: as many, or about a whole part of them."""
+        return max(math.ceil(n_samples / max(round(n_samples / self.most), 1)), self.fewest)
 
     def fitted(self, n_samples: float) -> int:
         """Return about as many samples, of which each has as many columns, or each column as many samples."""
-        n_columns = self.count(math.ceil(n_samples))
-        if n_columns <= n_samples:
-            return n_columns * round(n_samples / n_columns)
-        fitting = (n_columns // n for n in COLUMNS_PER_SAMPLE)
+        if n_samples >= self.fewest:
+            return next(n for n in count(math.ceil(n_samples)) if n % self.n_columns(n) == 0)
+        fitting = (self.fewest // n for n in COLUMNS_PER_SAMPLE)
         return min(fitting, key=lambda n: abs(math.log(n / (RATHER_NARROWER * n_samples))))
 
 
@@ -383,7 +383,7 @@ def _column_edges(
     beams: BeamShape,
     widths: ColumnWidths,
 ) -> np.ndarray:
-    """Return the azimuths between which the columns lie, rising; columns end where sectors do.
+    """Return the azimuths between which the columns of boxes, or cones, lie, rising; they end where sectors do.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """The fan: strips cover it once, columns end where box beams end, beams are normalised by their solid angle."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import sonar_gl as sg
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.sonar.fan import BeamShape, ColumnWidths, ends_of_fan_rad, fitted_sampling, make_fan
-from sonar_gl.sonar.sampling import fewest_rows, sampling_at
+from sonar_gl.sonar.sampling import FINEST_LEVEL, MAX_COLUMNS_PER_BEAM, fewest_rows, sampling_at
 from sonar_gl.sonar.sector import SHEAR
 from sonar_gl.sonar.sonar import presets
 from tests.support.fans import box_fan, make_sonar
@@ -161,6 +162,23 @@ def test_fitted_samples_serve_whole_strips(name):
             assert fitted.count(sonar) == pytest.approx(asked.count(sonar), rel=0.03) or (
                 fitted.rows == fewest_rows(sonar) and fitted.count(sonar) > asked.count(sonar)
             )
+
+
+@pytest.mark.parametrize(
+    ("fov_deg", "n_beams", "beam_width_deg"),
+    [(30.0, 1, 30.0), (30.0, 2, 30.0), (60.0, 1, 2.0), (120.0, 3, 40.0), (180.0, 96, 2.0), (360.0, 16, 4.0)],
+)
+def test_samples_are_fitted_within_their_bounds(fov_deg, n_beams, beam_width_deg):
+    """Of sonars with few beams, the finest levels have as many samples across a beam as there may be."""
+    sonar = make_sonar(fov_deg, n_beams, beam_width_deg=beam_width_deg)
+    beams = BeamShape(Acoustics.physical().receive_support_rad(sonar), is_box=False)
+    for level in range(0, FINEST_LEVEL + 1, 5):
+        fitted = fitted_sampling(sonar, sampling_at(sonar, level), beams)
+        fan = make_fan(sonar, replace(fitted, rows=16), beams)
+        for sector in fan.sectors:
+            ratios = sector.u[1] / sector.strips.width
+            whole = np.allclose(ratios, round(ratios[0]), rtol=1e-9)
+            assert whole or fitted.columns_per_beam == MAX_COLUMNS_PER_BEAM
 
 
 def test_the_largest_width_of_columns_is_a_parameter():
