@@ -1,4 +1,4 @@
-"""A thread that does jobs beside its callers, such that an interrupted caller leaves nothing half done behind it."""
+"""Threads that do jobs beside their callers, such that an interrupted caller leaves nothing half done behind it."""
 
 from __future__ import annotations
 
