@@ -186,13 +186,16 @@ def test_a_forked_process_does_both_halves_itself():
 
 
 def test_several_threads_do_jobs_at_once_and_all_end():
-    before, together = threading.active_count(), threading.Barrier(4)
-    threads = JobThreads("together", 3)
+    together, threads = threading.Barrier(4), JobThreads("together", 3)
+
+    def count() -> int:  # not of threads that earlier tests have left to end
+        return sum(thread.name == "together" for thread in threading.enumerate())
+
     jobs = [Job(lambda: together.wait(LIMIT_S)) for _ in range(3)]
     for job in jobs:
         threads.submit(job)
     together.wait(LIMIT_S)
     assert sorted([job.result() for job in jobs]) == sorted({job.answer for job in jobs})
-    assert threading.active_count() == before + 3
+    assert count() == 3
     threads.close()
-    wait_until(lambda: threading.active_count() == before)
+    wait_until(lambda: count() == 0)
