@@ -288,8 +288,7 @@ def _make_ahead(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
         threads = PingThreads(run) if run.world.engine.draws_in_threads else ReceiverThread(run)
     try:
         while upcoming.fill(_n_to_set_up(upcoming, threads)) or in_flight:
-            makes_here = upcoming.are_small or not threads.gain
-            must_wait = makes_here or _start_next(run, upcoming, threads, in_flight)
+            must_wait = _makes_here(upcoming, threads) or _start_next(run, upcoming, threads, in_flight)
             if must_wait and not in_flight:
                 yield _make_here(run, upcoming)
             while in_flight and (must_wait or len(in_flight) > threads.ahead):
@@ -302,10 +301,14 @@ def _make_ahead(run: Run, upcoming: _Upcoming) -> Iterator[Ping]:
         raise upcoming.failure
 
 
+def _makes_here(upcoming: _Upcoming, threads: ReceiverThread | PingThreads) -> bool:
+    """Return whether the caller makes the next ping, since other threads would gain nothing."""
+    return upcoming.are_small or not threads.gain
+
+
 def _n_to_set_up(upcoming: _Upcoming, threads: ReceiverThread | PingThreads) -> int:
     """Return how many pings to set up now: with those in flight, as many at a time, whoever makes them."""
-    is_made_here = upcoming.are_small or not threads.gain
-    return threads.most * (threads.ahead + 1) if is_made_here else threads.most
+    return threads.most * (threads.ahead + 1) if _makes_here(upcoming, threads) else threads.most
 
 
 def _start_next(

@@ -222,8 +222,8 @@ class _Views(NamedTuple):
 
 def _views_of(sonar: Sonar, beams: BeamShape) -> _Views:
     start, stop = ends_of_fan_rad(sonar, beams)
-    count = max(1, math.ceil((stop - start) / MAX_SECTOR_RAD - 1e-9))
-    return _Views((start, stop), count, (stop - start) / count / 2)
+    n = max(1, math.ceil((stop - start) / MAX_SECTOR_RAD - 1e-9))
+    return _Views((start, stop), n, (stop - start) / n / 2)
 
 
 def _samples_across(sonar: Sonar, sampling: Sampling, views: _Views) -> float:
