@@ -1628,7 +1628,7 @@ MUTATIONS = (
     ),
     Mutation(
         "sequence/look-ahead of small pings",
-        "return threads.most * (threads.ahead + 1) if is_made_here else threads.most",
+        "return threads.most * (threads.ahead + 1) if _makes_here(upcoming, threads) else threads.most",
         "return threads.most",
         ("test_sequence",),
     ),
