@@ -266,7 +266,8 @@ class ErrorModel:
             one = bodies[body - 1]
             # samples on a mirror whose glint lies beside the fan have no echo, and are not among those that met it
             if greatest[body] * self._extents.share_in_view(body, one, state, pose, reception) > least:
-                of_one = one, state.poses[body - 1], pose, reception, setup.surface_z_m
+                sphere, body_pose = self._extents.sphere_about(body), state.poses[body - 1]
+                of_one = one, sphere, body_pose, pose, reception, setup.surface_z_m
                 counts[body] = is_unobstructed(sectors, body, *of_one)
         return counts
 

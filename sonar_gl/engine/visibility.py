@@ -172,6 +172,7 @@ def is_unobstructed(
     samples: Sequence[SectorSamples],
     number: int,
     body,
+    sphere: Sphere,
     body_pose,
     pose,
     reception: Reception,
@@ -189,27 +190,26 @@ def is_unobstructed(
     Parameters
     ----------
     number : of the body in the samples
-    body, body_pose : Body, and its (4, 4) world_from_body
+    body, sphere, body_pose : Body, the Sphere about it in its frame, and its (4, 4) world_from_body
     pose : (4, 4) world_from_sonar, of the head
     surface_z_m : height of the water's surface; None if there is none
     """
-    sonar = reception.sonar
-    faces = np.asarray(body.surface.faces)
-    ends = faces[:: 1 + len(faces) // MAX_CLIPPED_FACES, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    world = np.asarray(body.surface.vertices, np.float64)[ends] @ body_pose[:3, :3].T + body_pose[:3, 3]
-    edges = (world - pose[:3, 3]) @ pose[:3, :3]
-    has_surface = surface_z_m is not None and pose[2, 3] < surface_z_m
-    below_m = surface_z_m - SURFACE_MARGIN_M - world[..., 2] if has_surface else np.ones(world.shape[:2])
-    sphere = _sphere_about(edges.reshape(-1, 3))
+    sonar, sonar_from_body = reception.sonar, np.linalg.inv(pose) @ body_pose
+    centre = sonar_from_body[:3, :3] @ sphere.centre + sonar_from_body[:3, 3]
+    surface = []  # what lies below it, as a plane of the body's frame
+    if surface_z_m is not None and pose[2, 3] < surface_z_m:
+        surface = [np.array([0.0, 0.0, -1.0, surface_z_m - SURFACE_MARGIN_M]) @ body_pose]
+    edges = None  # taken from the body where a sector may hold it
     for (sector, plane_echo, body_id, _), received in zip(samples, reception.received_u, strict=True):
-        rotation = sector.rotation()
-        frustum = _frustum(sector, rotation, sonar.range_max_m)
-        if frustum.is_beside(sphere.centre, sphere.radius_m):
+        frustum = _frustum(sector, sonar.range_max_m)
+        if _is_beside(frustum, Sphere(centre, sphere.radius_m)):
             continue
-        points = points_within(frustum, edges, below_m)
+        edges = _edges_of(body.surface) if edges is None else edges
+        points = points_within(np.stack([*(frustum @ sonar_from_body), *surface]), edges)
         if not len(points):
             continue
-        x, y, z = rotation @ points.T
+        to_sector = sector.rotation() @ sonar_from_body[:3]
+        x, y, z = to_sector[:, :3] @ points.T + to_sector[:, 3:]
         u, v, q = -y / x, z / x, 1 / x
         steps, origin = sector.steps, np.array([[sector.u[0]], [sector.v[0]]])
         i, j = np.rint(np.linalg.inv(steps) @ (np.stack([u, v]) - origin)).astype(int)
@@ -242,48 +242,50 @@ def _in_a_beam(sector: Sector, u, v, q, sonar: Sonar, received) -> np.ndarray:
     return out & (np.searchsorted(received, u) % 2 == 1) if len(received) else out
 
 
-class _Frustum(NamedTuple):
-    """What a sector sees, and a little more: points of the sonar's frame at which normals @ point + offsets_m > 0.
+def _frustum(sector: Sector, range_max_m: float) -> np.ndarray:
+    """Return the frustum of a sector, and a little more, in the frame of the sonar.
 
-    normals : (6, 3), of any length; offsets_m : (6,)
-    """
-
-    normals: np.ndarray
-    offsets_m: np.ndarray
-
-    def is_beside(self, centre, radius_m: float) -> bool:
-        """Return whether a sphere lies outside one of the planes."""
-        reach_m = np.linalg.norm(self.normals, axis=1) * radius_m
-        return bool((self.normals @ centre + self.offsets_m <= -reach_m).any())
-
-
-def _frustum(sector: Sector, rotation, range_max_m: float) -> _Frustum:
-    """Return the frustum of a sector: its sides, between them its lowest and highest elevation, and the range ahead.
-
-    rotation : (3, 3) sector_from_sonar
+    (6, 4) planes of any length, its sides, its lowest and highest elevation between them, and the range ahead: for
+    points inside, planes @ (x, y, z, 1) > 0.
     """
     beside, aside = math.tan(sector.half_width_rad), 1 / math.cos(sector.half_width_rad)
     above, below = (max(tan, tan * aside) for tan in (sector.tan_high, -sector.tan_low))
-    normals = [[1, 0, 0], [-1, 0, 0], [beside, 1, 0], [beside, -1, 0], [above, 0, -1], [below, 0, 1]]
-    return _Frustum(np.array(normals, np.float64) @ rotation, np.array([-1e-3, range_max_m, 0, 0, 0, 0]))
+    c, s = math.cos(sector.azimuth_rad), math.sin(sector.azimuth_rad)
+    ahead, left = np.array([c, s, 0.0, 0.0]), np.array([-s, c, 0.0, 0.0])
+    up, one = np.array([0.0, 0.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
+    ends = ahead - 1e-3 * one, range_max_m * one - ahead
+    return np.stack(
+        [*ends, beside * ahead + left, beside * ahead - left, above * ahead - up, below * ahead + up]
+    )
+
+
+def _is_beside(frustum: np.ndarray, sphere: Sphere) -> bool:
+    """Return whether a sphere lies outside one of the planes of a frustum."""
+    normals, offsets_m = frustum[:, :3], frustum[:, 3]
+    reach_m = np.linalg.norm(normals, axis=1) * sphere.radius_m
+    return bool((normals @ sphere.centre + offsets_m <= -reach_m).any())
+
+
+def _edges_of(surface) -> np.ndarray:
+    """Return the edges of all faces, of many faces those of every so-manieth: (m, 2, 3) float64."""
+    faces = np.asarray(surface.faces)
+    ends = faces[:: 1 + len(faces) // MAX_CLIPPED_FACES, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    return np.asarray(surface.vertices, np.float64)[ends]
 
 
 @compiled
-def _cut_edges(normals, offsets_m, edges, below_m, low, high):
-    """Fill low and high, (m,), with where each edge, from 0 to 1, enters and leaves a frustum; low >= high if never.
+def _cut_edges(planes, edges, low, high):
+    """Fill low and high, (m,), with where each edge, from 0 to 1, enters and leaves some planes; low >= high if never.
 
-    normals, offsets_m : of `_Frustum`; edges, below_m : of `points_within`
+    planes, edges : of `points_within`
     """
-    n_planes = normals.shape[0]
     for e in range(edges.shape[0]):
         low[e], high[e] = 0.0, 1.0
-        for k in range(n_planes + 1):
-            begin, end = below_m[e, 0], below_m[e, 1]
-            if k < n_planes:
-                begin = end = offsets_m[k]
-                for axis in range(3):
-                    begin += normals[k, axis] * edges[e, 0, axis]
-                    end += normals[k, axis] * edges[e, 1, axis]
+        for k in range(planes.shape[0]):
+            begin = end = planes[k, 3]
+            for axis in range(3):
+                begin += planes[k, axis] * edges[e, 0, axis]
+                end += planes[k, axis] * edges[e, 1, axis]
             if begin <= 0.0 and end <= 0.0:
                 high[e] = -1.0
                 break
@@ -293,13 +295,13 @@ def _cut_edges(normals, offsets_m, edges, below_m, low, high):
                 high[e] = min(high[e], begin / (begin - end))
 
 
-def points_within(frustum: _Frustum, edges, below_m) -> np.ndarray:
-    """Return (n, 3) points on the parts of edges inside a frustum, POINTS at most, even on each part.
+def points_within(planes, edges) -> np.ndarray:
+    """Return (n, 3) points on the parts of edges before all of some planes, POINTS at most, even on each part.
 
-    edges, below_m : (m, 2, 3) in the frame of the frustum, and (m, 2) how far below the water's surface their ends lie
+    planes : (p, 4), before which planes @ (x, y, z, 1) > 0; edges : (m, 2, 3), of the same frame
     """
     low, high = np.empty(len(edges)), np.empty(len(edges))
-    _cut_edges(frustum.normals, frustum.offsets_m, edges, below_m, low, high)
+    _cut_edges(planes, edges, low, high)
     held = np.flatnonzero(low < high)
     held = held[:: max(math.ceil(len(held) / POINTS), 1)]
     n = POINTS // max(len(held), 1)
@@ -317,17 +319,17 @@ def _greatest(values, first, last) -> np.ndarray:
     return np.maximum.reduceat(np.append(values, values[-1]), ends)[::2]
 
 
-class _Sphere(NamedTuple):
+class Sphere(NamedTuple):
     """A sphere about some points, in their frame."""
 
     centre: np.ndarray
     radius_m: float
 
 
-def _sphere_about(points) -> _Sphere:
+def sphere_about(points) -> Sphere:
     """Return a sphere about (n, 3) points, around the middle of their box."""
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    return _Sphere(centre, float(np.linalg.norm(points - centre, axis=1).max()))
+    return Sphere(centre, float(np.linalg.norm(points - centre, axis=1).max()))
 
 
 def _used_vertices(surface) -> np.ndarray:
@@ -441,7 +443,7 @@ class _Extents(NamedTuple):
 
 def _extents(bodies, specular: bool) -> _Extents:
     surfaces = [body.surface for body in bodies]
-    spheres = [_sphere_about(_used_vertices(surface)) for surface in surfaces]
+    spheres = [sphere_about(_used_vertices(surface)) for surface in surfaces]
     radii_m = np.array([sphere.radius_m for sphere in spheres])
     lobes = [
         specular_lobe(cos_of_greatest_lobe(body.roughness_rad), body.specular * specular, body.roughness_rad)
@@ -490,6 +492,10 @@ class BodyExtents:
     def by_face(self) -> np.ndarray:
         """(bodies + 1,) bool by number, whether the reflectivity is one value a face."""
         return np.concatenate([[False], self._columns.by_face])
+
+    def sphere_about(self, number: int) -> Sphere:
+        """Return the sphere about a body, in its frame; number : of the body, from 1."""
+        return Sphere(self._columns.centres[number - 1], float(self._columns.radii_m[number - 1]))
 
     def add(self, bodies) -> None:
         """Append bodies; those that are there are not measured again."""

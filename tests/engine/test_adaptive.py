@@ -5,7 +5,6 @@ import math
 import re
 import warnings
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -139,7 +138,8 @@ def test_a_body_that_few_samples_met_is_not_hidden_by_them(distance_m, is_seen):
         assert (0 < count_samples(simulator)[2] < 8) == is_seen
         with simulator.run.drawing():
             (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
-            arguments = bodies[1].pose, np.eye(4), reception_of(stage.beamformer, SONAR)
+            sphere = visibility.sphere_about(bodies[1].surface.vertices)
+            arguments = sphere, bodies[1].pose, np.eye(4), reception_of(stage.beamformer, SONAR)
             assert is_unobstructed(view.sectors, 2, bodies[1], *arguments) == is_seen
 
 
@@ -150,7 +150,8 @@ def is_seen_before_a_wall(sonar, body, *drawn, wall_m=12.0, surface_z_m=None):
         stage = simulator.run.sampler.resolution.stage
         with simulator.run.drawing():
             (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
-            arguments = body.pose, np.eye(4), reception_of(stage.beamformer, sonar), surface_z_m
+            sphere = visibility.sphere_about(body.surface.vertices)
+            arguments = sphere, body.pose, np.eye(4), reception_of(stage.beamformer, sonar), surface_z_m
             return is_unobstructed(view.sectors, 2, body, *arguments)
 
 
@@ -197,21 +198,20 @@ def test_a_thin_body_in_a_corner_of_the_sector_is_seen_within_the_range(range_m,
 
 def test_points_lie_on_the_held_parts_of_all_edges():
     """Between x = 0 and 4, and below the water."""
-    slab = SimpleNamespace(normals=np.array([[1.0, 0, 0], [-1, 0, 0]]), offsets_m=np.array([0.0, 4.0]))
+    slab, sea = [[1.0, 0, 0, 0], [-1, 0, 0, 4]], [[0, 0, -1.0, 3]]
 
-    def points(*edges, below_m=None):
-        edges = np.array(edges, np.float64)
-        return visibility.points_within(slab, edges, np.ones(edges.shape[:2]) if below_m is None else below_m)
+    def points(*edges, planes=slab):
+        return visibility.points_within(np.array(planes, np.float64), np.array(edges, np.float64))
 
     across = points([[-3, 1, 2], [9, 1, 2]])
     np.testing.assert_allclose(across, np.stack([np.arange(256) / 64, np.ones(256), np.full(256, 2.0)], 1))
     back = points([[3, 0, 0], [-5, 8, 0]])
     assert back[0].tolist() == [3, 0, 0] and back[-1] == pytest.approx([3 / 256, 3 - 3 / 256, 0])
-    wet = points([[1, 0, 0], [3, 0, 0]], below_m=np.array([[-1.0, 3.0]]))
+    wet = points([[1, 0, 4], [3, 0, 0]], planes=slab + sea)
     assert wet[:, 0].min() == pytest.approx(1.5) and wet[:, 0].max() > 2.99
     # it enters the water before the slab, and leaves it after the slab
-    entered = points([[-1, 0, 0], [3, 0, 0]], below_m=np.array([[-1.0, 9.0]]))
-    left = points([[3, 0, 0], [-1, 0, 0]], below_m=np.array([[9.0, -1.0]]))
+    entered = points([[-1, 0, 4], [3, 0, -6]], planes=slab + sea)
+    left = points([[3, 0, -6], [-1, 0, 4]], planes=slab + sea)
     assert entered[:, 0].min() == 0 and left[:, 0].min() == pytest.approx(3 / 256)
     both = points(*[[[-1, y, 0], [5, y, 0]] for y in (0, 1)])
     assert len(both) == 256 and not set(both[both[:, 1] == 0, 0]) & set(both[both[:, 1] == 1, 0])
