@@ -15,6 +15,7 @@ from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.beam_pattern import FarPattern
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.kernels.beams import TILE_BEAMS, add_far_lobes, weigh_columns
+from sonar_gl.beamform.kernels.body_counts import ReceivedParts
 from sonar_gl.beamform.kernels.column_sums import (
     clear_columns,
     count_bins,
@@ -34,7 +35,7 @@ from sonar_gl.core.worker import SecondThread
 from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, fitted_sampling, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, sector_table, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
-from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, Strips
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, NO_UPRIGHTS, SHEAR, Sector, Strips
 from sonar_gl.sonar.sonar import Sonar
 
 # Work below these bounds is done in one thread, since handing half of it to the second one would take longer. Rows of
@@ -312,6 +313,11 @@ class Beamformer:
         return tuple(
             _union_of_strips(sector, [StripTable(*half) for half in halves]) for sector, *halves in strips
         )
+
+    @cached_property
+    def received_parts(self) -> ReceivedParts:
+        """What beams receive of each sector, to count samples there."""
+        return received_parts(self.fan.sectors, self.received_u)
 
     @cached_property
     def even_response(self) -> np.ndarray:
@@ -683,3 +689,25 @@ def _shown_points(points: np.ndarray) -> np.ndarray:
     ahead = points[np.abs(points[:, 0]) < MAX_AZIMUTH_RAD]
     level = np.sqrt(np.maximum(1 - ahead[:, 1] ** 2, 0))
     return np.column_stack([np.arcsin(np.sin(ahead[:, 0]) * level), ahead[:, 1:]])
+
+
+def received_parts(sectors: Sequence[Sector], received_u: Sequence[np.ndarray]) -> ReceivedParts:
+    """Return the parts of sectors that beams receive; received_u : of `Beamformer`."""
+    # in gaps between boxes no strip counts: what the strips take of a sample beside one is not known
+    uprights = [
+        NO_UPRIGHTS if len(u) else one.strips.uprights for one, u in zip(sectors, received_u, strict=True)
+    ]
+    return ReceivedParts(
+        np.array([one.strips.sines for one in sectors]),
+        np.array([math.tan(one.half_width_rad) for one in sectors]),
+        _begins(received_u),
+        np.concatenate(received_u),
+        _begins([one.middle for one in uprights]),
+        np.concatenate([one.middle for one in uprights]),
+        np.concatenate([one.end for one in uprights]),
+    )
+
+
+def _begins(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Return where each of some arrays begins in all of them one after the other, and where the last one ends."""
+    return np.cumsum([0, *map(len, arrays)])

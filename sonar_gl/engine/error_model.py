@@ -172,7 +172,7 @@ class ErrorModel:
         is_counted : of `count_bodies`
         """
         extents = self._current_extents()
-        found = count_bodies(view.sectors, len(self.bodies), self._reception(stage), is_counted)
+        found = count_bodies(view, len(self.bodies), self._reception(stage), is_counted)
         # Most of the echo of a round smooth body is that of few samples, and none of it may have met the glint. Other
         # bodies of one reflectivity err along their outlines, which the number of samples tells of.
         shares = extents.glint_shares

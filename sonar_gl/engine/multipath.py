@@ -363,8 +363,7 @@ class ImageSources:
         def count(stage, view, gain):
             reception = reception_of(stage.beamformer, self._reach_rad, gain)
             step = max(1, sum(one.plane_echo[..., 0].size for one in view.sectors) // COUNTED)
-            sectors = [every_row(one, step) for one in view.sectors]
-            found = count_bodies(sectors, len(self._scene.bodies), reception)
+            found = count_bodies(view, len(self._scene.bodies), reception, every=step)
             return BodySamples(found.samples * step, found.echo)  # rows of a step are as many times as high
 
         counts: list = [None] * len(views)

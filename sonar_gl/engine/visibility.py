@@ -12,22 +12,17 @@ import numpy as np
 from sonar_gl.acoustics.boundary import cos_of_greatest_lobe, specular_lobe
 from sonar_gl.beamform.beamformer import Beamformer
 from sonar_gl.beamform.kernels.body_counts import (
-    JJ,
-    RUNS_ACROSS,
-    RUNS_ALONG,
     BodyTotals,
+    CountedSamples,
     EchoWeights,
-    I,
-    N,
-    ReceivedPart,
-    SectorImage,
+    ReceivedParts,
     count_samples,
 )
 from sonar_gl.core.compiled import compiled
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.fan import SURFACE_MARGIN_M
-from sonar_gl.sonar.samples import SectorSamples, whole_rows
-from sonar_gl.sonar.sector import NO_UPRIGHTS, Sector
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples
+from sonar_gl.sonar.sector import Sector
 from sonar_gl.sonar.sonar import Sonar
 
 MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing their faces costs too much
@@ -39,9 +34,6 @@ MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are shor
 STAGGER = 0.618034  # of the step between points, from edge to edge: so those of parallel edges lie apart
 BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
 MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
-# The samples on many thin parts, as of a net, spread over more than so many samples in any direction, in shorter runs
-# than these on average. Those on one rod lie along a line, which the sheared lattice meets evenly.
-MIN_WIDTH, MAX_RUN = 6.0, 3.0
 # 1/x over that of the plane of the sample there: a point at the foot of a body lies on that of the floor
 IN_FRONT = 1.001
 
@@ -56,7 +48,7 @@ class Reception(NamedTuple):
     max_elevation_rad : beyond which nothing is received, side lobes included
     are_cones : of `Fan`
     gain : (K,) of the bins
-    elevation_table, received_u : of `Beamformer`
+    elevation_table, parts : of `Beamformer`, whose `received_parts` the parts are
     """
 
     sonar: Sonar
@@ -65,7 +57,7 @@ class Reception(NamedTuple):
     are_cones: bool
     gain: np.ndarray
     elevation_table: np.ndarray
-    received_u: Sequence[np.ndarray]
+    parts: ReceivedParts
 
     def greatest_gain(self, nearest_m, farthest_m) -> np.ndarray:
         """Return the greatest gain between ranges, (n,) metres, of which a part lies in the bins."""
@@ -84,7 +76,7 @@ class Reception(NamedTuple):
 def reception_of(beamformer: Beamformer, reach_rad: float, gain: np.ndarray) -> Reception:
     """Return how a beamformer receives; reach_rad and gain as of `Reception`."""
     fan = beamformer.fan
-    tables = beamformer.elevation_table, beamformer.received_u
+    tables = beamformer.elevation_table, beamformer.received_parts
     return Reception(fan.sonar, reach_rad, fan.max_elevation_rad, fan.are_cones, gain, *tables)
 
 
@@ -109,51 +101,34 @@ class BodyCounts(NamedTuple):
 
 
 def count_bodies(
-    samples: Sequence[SectorSamples],
+    view: ViewSamples,
     n_bodies: int,
     reception: Reception,
     is_counted: np.ndarray | None = None,
+    every: int = 1,
 ) -> BodyCounts:
     """Count the samples on each body, and about the echo of each.
 
+    Parameters
+    ----------
+    view : not of a host
     is_counted : (bodies + 1,) bool by number, of which bodies; None for all. Those of others are 0
+    every : of the rows of samples, every so-manieth is counted, and stands for those between
     """
     sonar, n = reception.sonar, n_bodies + 1
     if is_counted is None:
         is_counted = np.ones(n, bool)
     elif not is_counted.any():
         return BodyCounts(*np.zeros((5, n)))
+    samples = CountedSamples(view.plane_echo, view.body_id, view.table, is_counted, every)
     weights = EchoWeights(
         sonar.range_min_m, 1.0 / sonar.bin_size_m, reception.gain, reception.elevation_table
     )
-    counts, echo, of_strips = np.zeros((3, n))
-    unlike, places = np.zeros((2, n)), np.zeros((len(samples), n, JJ + 1))
-    for one, received_u, of_sector in zip(samples, reception.received_u, places, strict=True):
-        if not one.plane_echo.size:  # no body lies in it
-            continue
-        image = SectorImage(whole_rows(one.plane_echo), whole_rows(one.body_id), is_counted, one.lattice)
-        part = _received_part(one.sector, received_u)
-        totals = BodyTotals(counts, echo, of_strips, unlike, of_sector)
-        count_samples(tuple(image), tuple(part), tuple(weights), tuple(totals))
+    totals = BodyTotals(*np.zeros((6, n)))
+    count_samples(tuple(samples), tuple(reception.parts), tuple(weights), tuple(totals))
     # half the mean square of the differences of two is their variance; stripes show across them alone
-    return BodyCounts(counts, echo, of_strips, np.sqrt(unlike.max(axis=0) / 2), _strands(places).sum(axis=0))
-
-
-def _received_part(sector: Sector, received_u: np.ndarray) -> ReceivedPart:
-    # in gaps between boxes no strip counts: what the strips take of a sample beside one is not known
-    uprights = NO_UPRIGHTS if len(received_u) else sector.strips.uprights
-    return ReceivedPart(sector.strips.sines, math.tan(sector.half_width_rad), received_u, tuple(uprights))
-
-
-def _strands(places) -> np.ndarray:
-    """Return the strands of `BodyCounts` in each sector, (sectors, bodies + 1); places : of `BodyTotals`."""
-    n, along, across = places[..., N], places[..., RUNS_ALONG], places[..., RUNS_ACROSS]
-    i, j, ii, ij, jj = np.moveaxis(places[..., I:], -1, 0) / np.maximum(n, 1.0)
-    of_i, of_j, of_both = ii - i * i, jj - j * j, ij - i * j
-    least = (of_i + of_j) / 2 - np.hypot((of_i - of_j) / 2, of_both)
-    # an even strip of a width has a twelfth of its square as the variance across it
-    strands = np.minimum(along, across)
-    return np.where((12 * least > MIN_WIDTH**2) & (n < MAX_RUN * strands), strands, 0.0)
+    unevenness = np.sqrt(np.maximum(totals.along, totals.across) / 2)
+    return BodyCounts(totals.counts, totals.echo, totals.of_strips, unevenness, totals.strands)
 
 
 def body_error(samples, strands=0.0):
@@ -200,7 +175,7 @@ def is_unobstructed(
     if surface_z_m is not None and pose[2, 3] < surface_z_m:
         surface = [np.array([0.0, 0.0, -1.0, surface_z_m - SURFACE_MARGIN_M]) @ body_pose]
     edges = None  # taken from the body where a sector may hold it
-    for (sector, plane_echo, body_id, _), received in zip(samples, reception.received_u, strict=True):
+    for place, (sector, plane_echo, body_id, _) in enumerate(samples):
         frustum = _frustum(sector, sonar.range_max_m)
         if _is_beside(frustum, Sphere(centre, sphere.radius_m)):
             continue
@@ -213,7 +188,7 @@ def is_unobstructed(
         u, v, q = -y / x, z / x, 1 / x
         steps, origin = sector.steps, np.array([[sector.u[0]], [sector.v[0]]])
         i, j = np.rint(np.linalg.inv(steps) @ (np.stack([u, v]) - origin)).astype(int)
-        in_front = _in_a_beam(sector, u, v, q, sonar, received)
+        in_front = _in_a_beam(sector, u, v, q, sonar, reception.parts.received_u(place))
         in_front &= (i >= 0) & (i < sector.columns) & (j >= 0) & (j < sector.rows)
         u, v, i, j, q = (one[in_front] for one in (u, v, i, j, q))
         for row, column in product((-1, 0, 1), repeat=2):

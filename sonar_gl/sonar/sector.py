@@ -46,7 +46,7 @@ class Uprights(NamedTuple):
     end: np.ndarray
 
 
-NO_UPRIGHTS = Uprights(np.empty(0), np.empty(0))
+NO_UPRIGHTS = Uprights(np.empty(0), np.zeros(1))
 
 
 @dataclass(frozen=True, eq=False)

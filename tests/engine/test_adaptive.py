@@ -12,7 +12,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
-from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer
+from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer, received_parts
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import adaptive, error_model, visibility
 from sonar_gl.engine.flow import Plan
@@ -34,7 +34,7 @@ from sonar_gl.engine.visibility import (
 )
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import BeamShape, make_fan
-from sonar_gl.sonar.samples import SectorSamples
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples, sector_table
 from sonar_gl.sonar.sampling import (
     FINEST_LEVEL,
     WORST_BODY,
@@ -115,8 +115,25 @@ def test_small_bodies_get_the_samples_that_their_echo_needs():
 def reception_of(beamformer, sonar, gain=None):
     """What a sonar receives of its beams alone, with a gain of 1 unless another is given."""
     gain = np.ones(sonar.n_bins, np.float32) if gain is None else gain
-    tables = beamformer.elevation_table, beamformer.received_u
+    tables = beamformer.elevation_table, beamformer.received_parts
     return Reception(sonar, 0.0, beamformer.fan.max_elevation_rad, beamformer.fan.are_cones, gain, *tables)
+
+
+def parts_of(fan):
+    """What beams receive of the sectors of a fan, without gaps between them."""
+    return received_parts(fan.sectors, [np.empty(0)] * len(fan.sectors))
+
+
+def view_of(samples):
+    """Lay the samples of sectors side by side, as engines do."""
+    n_rows = max(one.sector.rows for one in samples)
+    left = np.cumsum([0, *(one.sector.columns for one in samples)])
+    plane_echo, body_id = np.zeros((n_rows, left[-1], 4), np.float32), np.zeros((n_rows, left[-1]), np.uint16)
+    for one, first, past in zip(samples, left[:-1], left[1:], strict=True):
+        plane_echo[: one.sector.rows, first:past] = one.plane_echo
+        body_id[: one.sector.rows, first:past] = one.body_id
+    table = tuple(sector_table([one.sector for one in samples], left[:-1]))
+    return ViewSamples(tuple(samples), plane_echo, tuple(left[:-1]), body_id=body_id, table=table)
 
 
 def count_samples(simulator):
@@ -125,7 +142,7 @@ def count_samples(simulator):
     with run.drawing():
         (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
         reception = reception_of(stage.beamformer, SONAR, gain)
-        return count_bodies(view.sectors, len(simulator.scene.bodies), reception).samples
+        return count_bodies(view, len(simulator.scene.bodies), reception).samples
 
 
 @pytest.mark.parametrize("distance_m, is_seen", [(8.0, True), (10.0, False)])
@@ -703,10 +720,9 @@ def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
         q = np.sqrt(1 + u * u + v * v) / 5  # a sphere of 5 m
         plane_echo = np.stack([q, 0 * q, 0 * q, np.ones_like(q)], axis=-1).astype(np.float32)
         samples.append(SectorSamples(sector, plane_echo, np.ones(u.shape, np.uint16)))
-    received_u = [np.empty(0)] * len(samples)
     gain = np.ones(SONAR.n_bins, np.float32)
-    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, np.empty(0), received_u)
-    found = count_bodies(samples, 1, reception)
+    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, np.empty(0), parts_of(fan))
+    found = count_bodies(view_of(samples), 1, reception)
     assert found.samples.tolist() == [0, expected]
 
 
@@ -729,8 +745,8 @@ def test_strands_are_the_runs_of_samples_on_a_body_of_many_thin_parts(is_met, st
     plane_echo = np.stack([q, 0 * q, 0 * q, is_on], axis=-1).astype(np.float32)
     samples = [SectorSamples(sector, plane_echo, is_on.astype(np.uint16))]
     gain = np.ones(SONAR.n_bins, np.float32)
-    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, np.empty(0), [np.empty(0)])
-    found = count_bodies(samples, 1, reception)
+    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, np.empty(0), parts_of(fan))
+    found = count_bodies(view_of(samples), 1, reception)
     assert found.samples[1] == is_on.sum()
     assert found.strands.tolist() == [0, strands]
 
@@ -748,8 +764,8 @@ def test_the_echo_of_strips_is_what_the_nearest_samples_of_upright_rods_give_the
     plane_echo = np.stack([q, 0 * q, 0 * q, np.ones_like(q)], axis=-1).astype(np.float32)
     samples = [SectorSamples(sector, plane_echo, (1 + place).astype(np.uint16))]
     gain = np.ones(SONAR.n_bins, np.float32)
-    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, np.empty(0), [np.empty(0)])
-    found, n_bodies = count_bodies(samples, place.max() + 1, reception), place.max() + 2
+    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, np.empty(0), parts_of(fan))
+    found, n_bodies = count_bodies(view_of(samples), place.max() + 1, reception), place.max() + 2
     expected, rows = np.zeros(n_bodies), np.arange(sector.rows)
     of_area = (1 + u * u + v * v) ** -1.5  # steradians per du dv
     for middle, width in zip(sector.strips.middle, sector.strips.width, strict=True):
@@ -846,8 +862,8 @@ def test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples(stripes)
     q, gain = length / SONAR.range_m[40 + j], random.random(SONAR.n_bins).astype(np.float32)
     plane_echo = np.stack([q, 0 * q, 0 * q, mu * length / q], axis=-1).astype(np.float32)
     table = 1 + np.linspace(-1, 1, 4001)  # of a pattern that rises with the sine of the elevation
-    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, table, [np.empty(0)])
-    found = count_bodies([SectorSamples(sector, plane_echo, is_on.astype(np.uint16))], 1, reception)
+    reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, table, parts_of(fan))
+    found = count_bodies(view_of([SectorSamples(sector, plane_echo, is_on.astype(np.uint16))]), 1, reception)
     angle = np.linalg.det(sector.steps) / length**3
     echo = mu * angle * gain[40 + j] * (1 + v / length)
     assert found.samples.tolist() == [0, 600]
@@ -953,7 +969,7 @@ def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
         placed = replace(state, poses=ball.pose[None])
         top_rad = math.radians(SONAR.elevation_fov_deg) / 2
         even = Reception(
-            SONAR, math.radians(reach_deg), top_rad, False, np.ones(SONAR.n_bins), np.zeros(0), ()
+            SONAR, math.radians(reach_deg), top_rad, False, np.ones(SONAR.n_bins), np.zeros(0), None
         )
         return BodyExtents([ball]).greatest_echo(placed, np.eye(4), even)[1]
 
@@ -974,7 +990,7 @@ def test_vertices_without_a_face_do_not_extend_a_body():
     ball = trimesh.creation.icosphere(2, 0.5)
     more = trimesh.Trimesh([*ball.vertices, [0, 0, 40]], ball.faces, process=False)
     state, even = SceneState(sg.pose(10)[None], np.ones(1, bool)), np.ones(SONAR.n_bins)
-    reception = Reception(SONAR, 0.0, math.radians(10), False, even, np.zeros(0), ())
+    reception = Reception(SONAR, 0.0, math.radians(10), False, even, np.zeros(0), None)
     found, expected = (
         BodyExtents([sg.Body("ball", mesh, sg.pose(10))]).greatest_echo(state, np.eye(4), reception)
         for mesh in (more, ball)
@@ -1040,7 +1056,7 @@ class TestSideLobes:
                 (view,) = stage.draw([pose], [None], with_bodies=True)
                 reception = reception_of(stage.beamformer, stage.fan.sonar, gain)
                 reception = reception._replace(reach_rad=self.PHYSICAL.receive_support_rad(self.SONAR))
-                counts = count_bodies(view.sectors, 1, reception)
+                counts = count_bodies(view, 1, reception)
         placed = SceneState(ball.pose[None], np.ones(1, bool))
         bound = BodyExtents([ball], specular=True).greatest_echo(placed, pose, reception)
         assert counts.samples[1] > 20
@@ -1617,7 +1633,7 @@ def test_the_error_of_wires_falls_as_the_root_of_their_samples_alone():
 def test_the_greatest_gain_and_pattern_are_those_within_the_span():
     rng, sonar = np.random.default_rng(0), replace(SONAR, n_bins=40)
     gain, table = rng.random(40), rng.random(201)
-    reception = Reception(sonar, 0.0, 0.2, False, gain, table, ())
+    reception = Reception(sonar, 0.0, 0.2, False, gain, table, None)
     near, far = np.sort(rng.uniform(0.0, 22.0, (2, 300)), axis=0)
     edges = sonar.bin_edges_m
     held = (edges[1:, None] > near) & (edges[:-1, None] <= far)

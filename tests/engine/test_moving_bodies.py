@@ -399,7 +399,7 @@ def test_the_extents_of_added_bodies_are_those_of_all_at_once():
     assert extents.n_bodies == len(bodies)
     np.testing.assert_array_equal(extents.glint_shares, expected.glint_shares)
     np.testing.assert_array_equal(extents.greatest_backscatter(state), expected.greatest_backscatter(state))
-    reception = Reception(SONAR, 0.0, 0.2, False, np.ones(SONAR.n_bins), np.zeros(0), ())
+    reception = Reception(SONAR, 0.0, 0.2, False, np.ones(SONAR.n_bins), np.zeros(0), None)
     echo = expected.greatest_echo(state, POSE, reception)
     assert (echo[1:] > 0).all()
     np.testing.assert_array_equal(extents.greatest_echo(state, POSE, reception), echo)
