@@ -60,6 +60,14 @@ def rounded_alike(function):
     return _kept(function, {**OPTIONS, "fastmath": False})
 
 
+def added_in_any_order(function):
+    """Compile a function as `compiled` does, but let it add up numbers in another order than the loop does.
+
+    So a sum takes as many numbers at a time as the processor can. Its last bits are those of that processor.
+    """
+    return _kept(function, {**OPTIONS, "fastmath": OPTIONS["fastmath"] | {"reassoc"}})
+
+
 def uncounted(function):
     """Compile a function as `compiled` does, but count no references to arrays in it.
 

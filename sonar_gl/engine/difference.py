@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from sonar_gl.beamform.beamformer import BeamEcho
-from sonar_gl.core.compiled import compiled
+from sonar_gl.core.compiled import added_in_any_order
 from sonar_gl.sonar.sampling import ERROR_RATE
 
 ERROR_FACTOR = 1.86  # of the error that the difference shows
@@ -31,7 +31,7 @@ def share_of_difference(coarser: float, rate: float) -> float:
     return 1 / math.sqrt(1 + coarser ** (2 * rate))
 
 
-@compiled
+@added_in_any_order
 def _sum_of_differences(a, b):
     """Return Σ|a − b| of two float32 arrays of one shape, (B, K); NumPy would fill two more of them."""
     total = 0.0
