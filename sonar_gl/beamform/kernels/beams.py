@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import uint64
 
-from sonar_gl.core.compiled import compiled, inlined
+from sonar_gl.core.compiled import added_in_any_order, compiled, inlined
 
 TILE_BEAMS = 4  # beams at a time, so that what is read of columns serves several
 
@@ -82,21 +82,23 @@ def weigh_columns(column_sums, spans, tiles, part, gain, out):
 
 @inlined
 def _write_beam(rows, r, begin, end, gain, out, b):
-    """Write a row of sums as a beam, times the gain, and return its sum; four sums, since each waits for its last."""
+    """Write a row of sums as a beam, times the gain, and return its sum."""
     for k in range(uint64(0), uint64(begin)):
         out[b, k] = 0.0
     for k in range(uint64(end), uint64(out.shape[1])):
         out[b, k] = 0.0
     for k in range(uint64(begin), uint64(end)):
         out[b, k] = rows[r, k] * gain[k] if gain.shape[0] else rows[r, k]
-    first = second = third = fourth = 0.0
-    last = begin + (end - begin) // 4 * 4
-    for k in range(uint64(begin), uint64(last), uint64(4)):
-        first, second = first + out[b, k], second + out[b, k + uint64(1)]
-        third, fourth = third + out[b, k + uint64(2)], fourth + out[b, k + uint64(3)]
-    for k in range(uint64(last), uint64(end)):
-        first += out[b, k]
-    return (first + second) + (third + fourth)
+    return _sum_of(out, b, begin, end)
+
+
+@added_in_any_order
+def _sum_of(out, b, begin, end):
+    """Return the sum of some bins of a beam."""
+    total = 0.0
+    for k in range(uint64(begin), uint64(end)):
+        total += out[b, k]
+    return total
 
 
 @compiled
@@ -134,12 +136,5 @@ def add_far_lobes(moments, first_moment, expansion, part, span, gain, out):
                 row[k] *= gain[k]
         for k in range(begin, end):
             out[ub, k] = max(out[ub, k] + row[k], np.float32(0.0))
-        first = second = third = fourth = 0.0
-        last = begin + (end - begin) // uint64(4) * uint64(4)
-        for k in range(begin, last, uint64(4)):
-            first, second = first + out[ub, k], second + out[ub, k + uint64(1)]
-            third, fourth = third + out[ub, k + uint64(2)], fourth + out[ub, k + uint64(3)]
-        for k in range(last, end):
-            first += out[ub, k]
-        total += (first + second) + (third + fourth)
+        total += _sum_of(out, ub, begin, end)
     return total
