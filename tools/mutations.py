@@ -544,8 +544,8 @@ MUTATIONS = (
     ),
     Mutation(
         "hidden bodies/above the water",
-        "surface_z_m - SURFACE_MARGIN_M - world[..., 2] if has_surface else np.ones(world.shape[:2])",
-        "np.ones(world.shape[:2])",
+        "surface = [np.array([0.0, 0.0, -1.0, surface_z_m - SURFACE_MARGIN_M]) @ body_pose]",
+        "surface = []",
         ("test_adaptive::test_a_body_above_the_water_asks_for_no_samples",),
     ),
     Mutation(
@@ -556,8 +556,8 @@ MUTATIONS = (
     ),
     Mutation(
         "hidden bodies/sonar above the water",
-        "surface_z_m is not None and pose[2, 3] < surface_z_m\n    below_m",
-        "surface_z_m is not None\n    below_m",
+        "if surface_z_m is not None and pose[2, 3] < surface_z_m:\n        surface =",
+        "if surface_z_m is not None:\n        surface =",
         ("test_adaptive::test_only_a_sonar_in_the_water_does_not_see_what_is_above",),
     ),
     Mutation(
@@ -960,8 +960,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/unevenness along rows",
-        "unlike[0, body] += (returned - beside) ** 2",
-        "unlike[0, body] += 0.0 * (returned - beside)",
+        "along[body] += (returned - beside) ** 2",
+        "along[body] += 0.0 * (returned - beside)",
         ADAPTIVE,
     ),
     Mutation(
@@ -1028,8 +1028,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/bodies that move",
-        "one, state.poses[body - 1], pose, reception, setup",
-        "one, one.pose, pose, reception, setup",
+        "sphere, body_pose = self._extents.sphere_about(body), state.poses[body - 1]",
+        "sphere, body_pose = self._extents.sphere_about(body), one.pose",
         (COUNTED,),
     ),
     Mutation(
@@ -1603,8 +1603,20 @@ MUTATIONS = (
         ("test_moving_bodies",),
     ),
     Mutation(
-        "visibility/sectors beside a body",
-        "if frustum.is_beside(sphere.centre, sphere.radius_m):",
+        "planner/rows between those that are counted",
+        "area = (u[1] * v[2] - u[2] * v[1]) * every",
+        "area = u[1] * v[2] - u[2] * v[1]",
+        ("test_multipath",),
+    ),
+    Mutation(
+        "obstruction/sphere in the frame of the body",
+        "centre = sonar_from_body[:3, :3] @ sphere.centre + sonar_from_body[:3, 3]",
+        "centre = sphere.centre",
+        ("test_adaptive",),
+    ),
+    Mutation(
+        "obstruction/sectors beside a body",
+        "if _is_beside(frustum, Sphere(centre, sphere.radius_m)):",
         "if False:",
         ("test_adaptive",),
     ),

@@ -16,20 +16,19 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, BodySums
-from sonar_gl.engine.difference import share_of_difference, wrong_share
-from sonar_gl.engine.flow import PingSetup, Plan
-from sonar_gl.engine.stage import Stage, StageCache
-from sonar_gl.engine.visibility import (
+from sonar_gl.engine.body_counts import (
     BODY_ERROR_RATE,
     MIN_BODY_SAMPLES,
     BodyCounts,
-    BodyExtents,
-    Reception,
     body_error,
     count_bodies,
-    is_unobstructed,
-    reception_of,
 )
+from sonar_gl.engine.body_extents import BodyExtents
+from sonar_gl.engine.difference import share_of_difference, wrong_share
+from sonar_gl.engine.flow import PingSetup, Plan
+from sonar_gl.engine.obstruction import is_unobstructed
+from sonar_gl.engine.reception import Reception, reception_of
+from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import (

@@ -16,6 +16,7 @@ import numpy as np
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.core.checks import text_beside
 from sonar_gl.core.warn import warn_caller
+from sonar_gl.engine.body_counts import body_error
 from sonar_gl.engine.difference import wrong_share
 from sonar_gl.engine.multipath import (
     COARSEST,
@@ -25,7 +26,6 @@ from sonar_gl.engine.multipath import (
     BodySamples,
     ImageSourceSamples,
 )
-from sonar_gl.engine.visibility import body_error
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
 from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning
 

@@ -18,8 +18,9 @@ from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
 from sonar_gl.beamform.kernels.image_sources import SAME_PLANE, Reflection, estimate_reflection, expect_imaged
 from sonar_gl.beamform.kernels.views import ViewIndex, view_index
 from sonar_gl.core.worker import SecondThread, run_halves
+from sonar_gl.engine.body_counts import count_bodies
+from sonar_gl.engine.reception import reception_of
 from sonar_gl.engine.stage import Stage, StageCache
-from sonar_gl.engine.visibility import count_bodies, reception_of
 from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState

@@ -13,8 +13,8 @@ from sonar_gl.analysis.terms import TERMS, price
 from sonar_gl.cli import plan as costs
 from sonar_gl.cli.report import percent
 from sonar_gl.core.poses import read_poses
+from sonar_gl.engine.body_counts import BODY_ERROR_RATE
 from sonar_gl.engine.flow import Plan
-from sonar_gl.engine.visibility import BODY_ERROR_RATE
 from sonar_gl.sonar.sampling import ERROR_RATE, LEVELS_PER_HALF
 from tests.support import command_line
 from tests.support.command_line import BOX, SENSOR, SONAR, WALL

@@ -14,24 +14,19 @@ import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer, received_parts
 from sonar_gl.core.errors import SampleLimitError
-from sonar_gl.engine import adaptive, error_model, visibility
+from sonar_gl.engine import adaptive, error_model, obstruction
+from sonar_gl.engine.body_counts import MIN_BODY_SAMPLES, BodyCounts, body_error, count_bodies
+from sonar_gl.engine.body_extents import BodyExtents, glint_share, greatest_lobe, sphere_about
 from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.multipath import COARSEST, ImageSources
+from sonar_gl.engine.obstruction import is_unobstructed
 from sonar_gl.engine.pipeline import make_ping
+from sonar_gl.engine.reception import Reception
 from sonar_gl.engine.replan_trigger import CHECK_EVERY, ReplanTrigger
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import KEPT_VIEWS, Stage, StageCache
-from sonar_gl.engine.visibility import (
-    BodyCounts,
-    BodyExtents,
-    Reception,
-    count_bodies,
-    glint_share,
-    greatest_lobe,
-    is_unobstructed,
-)
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples, sector_table
@@ -155,7 +150,7 @@ def test_a_body_that_few_samples_met_is_not_hidden_by_them(distance_m, is_seen):
         assert (0 < count_samples(simulator)[2] < 8) == is_seen
         with simulator.run.drawing():
             (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
-            sphere = visibility.sphere_about(bodies[1].surface.vertices)
+            sphere = sphere_about(bodies[1].surface.vertices)
             arguments = sphere, bodies[1].pose, np.eye(4), reception_of(stage.beamformer, SONAR)
             assert is_unobstructed(view.sectors, 2, bodies[1], *arguments) == is_seen
 
@@ -167,7 +162,7 @@ def is_seen_before_a_wall(sonar, body, *drawn, wall_m=12.0, surface_z_m=None):
         stage = simulator.run.sampler.resolution.stage
         with simulator.run.drawing():
             (view,) = stage.draw([np.eye(4)], [None], with_bodies=True)
-            sphere = visibility.sphere_about(body.surface.vertices)
+            sphere = sphere_about(body.surface.vertices)
             arguments = sphere, body.pose, np.eye(4), reception_of(stage.beamformer, sonar), surface_z_m
             return is_unobstructed(view.sectors, 2, body, *arguments)
 
@@ -218,7 +213,7 @@ def test_points_lie_on_the_held_parts_of_all_edges():
     slab, sea = [[1.0, 0, 0, 0], [-1, 0, 0, 4]], [[0, 0, -1.0, 3]]
 
     def points(*edges, planes=slab):
-        return visibility.points_within(np.array(planes, np.float64), np.array(edges, np.float64))
+        return obstruction.points_within(np.array(planes, np.float64), np.array(edges, np.float64))
 
     across = points([[-3, 1, 2], [9, 1, 2]])
     np.testing.assert_allclose(across, np.stack([np.arange(256) / 64, np.ones(256), np.full(256, 2.0)], 1))
@@ -241,8 +236,8 @@ def test_points_lie_on_the_held_parts_of_all_edges():
 def test_edges_are_cut_for_the_sector_that_holds_the_body_alone(azimuth_deg, monkeypatch):
     """A fan of six sectors, and a body in the middle of one: to cut a thousand bodies for all took seconds."""
     round_about = replace(SONAR, n_beams=360, azimuth_fov_deg=359.0, beam_width_deg=1.0)
-    cut, cut_edges = [], visibility.points_within
-    monkeypatch.setattr(visibility, "points_within", lambda *args: cut.append(1) or cut_edges(*args))
+    cut, cut_edges = [], obstruction.points_within
+    monkeypatch.setattr(obstruction, "points_within", lambda *args: cut.append(1) or cut_edges(*args))
     place = sg.pose(yaw=math.radians(azimuth_deg)) @ sg.pose(8)
     is_seen_before_a_wall(round_about, sg.Body("ball", trimesh.creation.icosphere(2, 0.6), place))
     assert len(cut) == 1
@@ -1442,7 +1437,7 @@ def test_the_error_by_the_number_of_samples_bounds_that_of_discs_and_squares(n, 
         rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
         met = is_met((lattice - rng.uniform(-0.5, 0.5, 2)) @ rotation / math.sqrt(n))
         errors.append(abs(met.sum() / n - 1))
-    bound = visibility.body_error(float(n))
+    bound = body_error(float(n))
     assert bound / 3 < np.quantile(errors, 0.95) < bound
 
 
@@ -1570,7 +1565,7 @@ def test_of_a_coarser_view_those_bodies_alone_are_counted_that_it_is_compared_by
         np.testing.assert_array_equal(some, [0, 0, all_[2]])
 
 
-FEW = visibility.MIN_BODY_SAMPLES
+FEW = MIN_BODY_SAMPLES
 NEAR = sg.Body("near", trimesh.creation.box((1, 1, 1)), sg.pose(5))
 
 
@@ -1623,10 +1618,10 @@ def test_the_bound_of_a_plan_is_above_the_tolerance_if_it_is_not_met():
 def test_the_error_of_wires_falls_as_the_root_of_their_samples_alone():
     """Of many thin parts nearly all samples lie along an outline; of a compact body the root of them does."""
     for n in (100.0, 10_000.0):
-        compact, wires = visibility.body_error(n), visibility.body_error(n, n)
+        compact, wires = body_error(n), body_error(n, n)
         assert wires / compact == pytest.approx(n**0.25, rel=1e-12)
-        assert visibility.body_error(n, math.sqrt(n) / 2) == compact  # fewer runs than an outline has
-    few = visibility.body_error(1e6) / visibility.body_error(16e6)
+        assert body_error(n, math.sqrt(n) / 2) == compact  # fewer runs than an outline has
+    few = body_error(1e6) / body_error(16e6)
     assert few == pytest.approx(8, rel=1e-4)  # 16 to the power of 3/4
 
 

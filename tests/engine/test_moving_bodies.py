@@ -12,7 +12,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.engine.visibility import BodyExtents, Reception
+from sonar_gl.engine.body_extents import BodyExtents
+from sonar_gl.engine.reception import Reception
 from sonar_gl.raster.opengl.buffers import GrowingBuffer
 from sonar_gl.scene import primitives
 from sonar_gl.scene import scene as scene_module

@@ -1,0 +1,257 @@
+"""What each body of a scene could return at most, if nothing stood in front of it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sonar_gl.acoustics.boundary import cos_of_greatest_lobe, specular_lobe
+from sonar_gl.engine.reception import Reception
+from sonar_gl.scene.state import GreatestReflectivity, SceneState
+
+MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing their faces costs too much
+GLINT_REACH = 4.0  # times the rms slope: beyond, a specular lobe has 10⁻⁴ of its echo
+MAX_FLAT_FACES = 12  # directions of a body whose faces are flat: it is a glint as a whole, or not at all
+NO_GLINT = 1e-26  # of the greatest lobe: a sample with less returns nothing
+MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
+
+
+class Sphere(NamedTuple):
+    """A sphere about some points, in their frame."""
+
+    centre: np.ndarray
+    radius_m: float
+
+
+def sphere_about(points) -> Sphere:
+    """Return a sphere about (n, 3) points, around the middle of their box."""
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    return Sphere(centre, float(np.linalg.norm(points - centre, axis=1).max()))
+
+
+def _used_vertices(surface) -> np.ndarray:
+    """Return the vertices that faces use, (n, 3) float64."""
+    used = np.zeros(len(surface.vertices), bool)
+    used[np.asarray(surface.faces)] = True
+    return np.asarray(surface.vertices, np.float64)[used]
+
+
+def _area_m2(surface) -> float:
+    a, b, c = np.asarray(surface.vertices, np.float64)[np.asarray(surface.faces).T]
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def glint_share(surface, roughness_rad: float) -> float:
+    """Return the share of a smooth body's outline that returns nearly all of its echo, 1 where its faces are flat.
+
+    Facets within GLINT_REACH times the roughness of the direction of the sonar do, all but 10⁻⁴ of the lobe: of a round
+    body, a part of its outline as wide as that share in both directions; of a cylinder, which is round in one direction
+    alone, a strip.
+    """
+    faces = np.asarray(surface.faces)
+    a, b, c = np.asarray(surface.vertices, np.float64)[faces[:: 1 + len(faces) // MAX_CLIPPED_FACES].T]
+    cross = np.cross(b - a, c - a)
+    areas = np.linalg.norm(cross, axis=1)
+    normals, areas = cross[areas > 0] / areas[areas > 0, None], areas[areas > 0]
+    if len(np.unique(normals.round(2), axis=0)) <= MAX_FLAT_FACES:
+        return 1.0
+    _, axes = np.linalg.eigh(normals.T @ (areas[:, None] * normals))
+    is_beside = np.abs(normals @ axes[:, 0]) < 0.1  # the axis that the fewest normals follow
+    is_round_once = areas[is_beside].sum() > 0.7 * areas.sum()
+    return min(1.0, GLINT_REACH * roughness_rad) ** (1 if is_round_once else 2)
+
+
+def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
+    """Return the most that the specular lobe of a body with flat faces may return per steradian in the fan.
+
+    A ray of the fan meets a flat face at no less than the angle between the face's normal and the fan, nor than where
+    the face is nearest to the sonar. Faces with other shading normals, and those of large meshes, count as those at
+    the angle where their lobe is greatest, which is face on but for large roughness.
+
+    Parameters
+    ----------
+    body, body_pose, pose : of `is_unobstructed`
+    """
+    greatest_cosine = cos_of_greatest_lobe(body.roughness_rad)
+    greatest = float(specular_lobe(greatest_cosine, body.specular, body.roughness_rad))
+    surface, to_sonar = body.surface, pose[:3, :3].T @ body_pose[:3, :3]
+    if len(surface.faces) > MAX_CLIPPED_FACES:
+        return greatest
+    corners = np.asarray(surface.vertices, np.float64)[np.asarray(surface.faces)]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(cross, axis=1)
+    corners, normals, faces = (one[areas > 0] for one in (corners, cross, surface.faces))
+    normals = normals / areas[areas > 0, None]
+    if body.normals is not None:
+        shading = np.asarray(body.normals, np.float64)[faces]
+        is_flat = (np.abs((shading * normals[:, None]).sum(axis=2)) > 1 - 1e-4) | ~shading.any(axis=2)
+        if not is_flat.all():
+            return greatest
+    corners = corners @ to_sonar.T + pose[:3, :3].T @ (body_pose[:3, 3] - pose[:3, 3])
+    normals = normals @ to_sonar.T
+    apart_m = (normals * corners[:, 0]).sum(axis=1)  # of the planes of the faces from the sonar
+    # a face is nearest where the perpendicular meets it, if it does so between the edges
+    along = np.roll(corners, -1, axis=1) - corners
+    place = -(corners * along).sum(axis=2) / np.maximum((along * along).sum(axis=2), 1e-30)
+    edges_m = np.linalg.norm(corners + place.clip(0.0, 1.0)[..., None] * along, axis=2).min(axis=1)
+    to_foot = (normals * apart_m[:, None])[:, None] - corners
+    is_within = ((np.cross(along, to_foot) * normals[:, None]).sum(axis=2) >= 0.0).all(axis=1)
+    cosines = np.abs(apart_m) / np.maximum(edges_m, 1e-9)
+    angles = np.where(is_within, 0.0, np.arccos(np.clip(cosines, 0.0, 1.0)))
+    angles = np.maximum(angles, _beside_fan_rad(normals * np.sign(apart_m)[:, None], reception))
+    cosines = np.minimum(np.cos(angles), greatest_cosine)
+    lobe = specular_lobe(cosines, body.specular, body.roughness_rad).max(initial=0.0)
+    return float(lobe) if lobe > NO_GLINT * greatest else 0.0
+
+
+def _beside_fan_rad(directions, reception: Reception) -> np.ndarray:
+    """Return by which angle at least (n, 3) directions in the frame of the sonar lie beside its fan, 0 inside."""
+    x, y, z = directions.T
+    half_azimuth = math.radians(reception.sonar.azimuth_fov_deg) / 2 + reception.reach_rad
+    above = np.abs(np.arcsin(np.clip(z, -1.0, 1.0))) - reception.max_elevation_rad
+    if reception.are_cones:
+        beside = np.abs(np.arcsin(np.clip(y, -1.0, 1.0))) - half_azimuth
+    else:
+        beside = np.clip(np.abs(np.arctan2(y, x)) - half_azimuth, 0.0, np.pi / 2)
+        beside = np.arcsin(np.sin(beside) * np.hypot(x, y).clip(0.0, 1.0))  # meridians meet at the poles
+    return np.maximum(np.maximum(above, beside), 0.0)
+
+
+class _Extents(NamedTuple):
+    """What `BodyExtents` measures of n bodies.
+
+    centres, radii_m : (n, 3) and (n,), of a sphere about each, in its frame
+    areas_m2 : (n,), the greatest silhouette
+    lobes : (n,), the greatest of the specular lobe
+    glint_shares : (n,), 1 of bodies without a lobe
+    by_face : (n,) bool, whether the reflectivity is one value a face
+    own, per_unit : of `GreatestReflectivity`
+    """
+
+    centres: np.ndarray
+    radii_m: np.ndarray
+    areas_m2: np.ndarray
+    lobes: np.ndarray
+    glint_shares: np.ndarray
+    by_face: np.ndarray
+    own: np.ndarray
+    per_unit: np.ndarray
+
+
+def _extents(bodies, specular: bool) -> _Extents:
+    surfaces = [body.surface for body in bodies]
+    spheres = [sphere_about(_used_vertices(surface)) for surface in surfaces]
+    radii_m = np.array([sphere.radius_m for sphere in spheres])
+    lobes = [
+        specular_lobe(cos_of_greatest_lobe(body.roughness_rad), body.specular * specular, body.roughness_rad)
+        for body in bodies
+    ]
+    shares = [
+        glint_share(surface, body.roughness_rad) if specular and body.specular > 0 else 1.0
+        for surface, body in zip(surfaces, bodies, strict=True)
+    ]
+    # the silhouette of a surface is half of its area at most, and inside that of its sphere
+    silhouettes = [_area_m2(s) / 2 if len(s.faces) <= MAX_FACES else np.inf for s in surfaces]
+    return _Extents(
+        np.array([sphere.centre for sphere in spheres]).reshape(-1, 3),
+        radii_m,
+        np.minimum(np.pi * radii_m**2, silhouettes),
+        np.array(lobes),
+        np.array(shares),
+        np.array([np.ndim(body.reflectivity) > 0 for body in bodies], bool),
+        *GreatestReflectivity.of(bodies),
+    )
+
+
+class BodyExtents:
+    """How much echo each body of a scene could return at most, if nothing stood in front of it.
+
+    Parameters
+    ----------
+    bodies : of the scene
+    specular : with the specular lobes of smooth bodies
+    """
+
+    def __init__(self, bodies, specular: bool = False):
+        self._specular, self._columns = specular, _extents(bodies, specular)
+
+    @property
+    def n_bodies(self) -> int:
+        """How many bodies there are."""
+        return len(self._columns.radii_m)
+
+    @property
+    def glint_shares(self) -> np.ndarray:
+        """(bodies + 1,) by number; of bodies without a lobe 1."""
+        return np.concatenate([[1.0], self._columns.glint_shares])
+
+    @property
+    def by_face(self) -> np.ndarray:
+        """(bodies + 1,) bool by number, whether the reflectivity is one value a face."""
+        return np.concatenate([[False], self._columns.by_face])
+
+    def sphere_about(self, number: int) -> Sphere:
+        """Return the sphere about a body, in its frame; number : of the body, from 1."""
+        return Sphere(self._columns.centres[number - 1], float(self._columns.radii_m[number - 1]))
+
+    def add(self, bodies) -> None:
+        """Append bodies; those that are there are not measured again."""
+        columns = zip(self._columns, _extents(bodies, self._specular), strict=True)
+        self._columns = _Extents(*(np.concatenate(pair) for pair in columns))
+
+    def greatest_echo(self, state: SceneState, pose, reception: Reception) -> np.ndarray:
+        """Return (bodies + 1,) the most that each body may add to `BodyCounts.echo`; 0 where its sphere is not in view.
+
+        The largest gain and elevation pattern within its sphere weigh all of the solid angle that it may fill.
+        """
+        out = np.zeros(self.n_bodies + 1)
+        if not self.n_bodies:
+            return out
+        sonar, radii_m = reception.sonar, self._columns.radii_m
+        rotations, places = state.poses[:, :3, :3], state.poses[:, :3, 3]
+        centres = np.einsum("nij,nj->ni", rotations, self._columns.centres) + places
+        x, y, z = ((centres - pose[:3, 3]) @ pose[:3, :3]).T
+        distance = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-9)
+        sine = np.minimum(radii_m / distance, 1.0)  # of half the angle that the sphere fills
+        half_angle = np.where(sine < 1.0, np.arcsin(sine), np.pi)  # the sonar inside it: all directions
+        elevation = np.arcsin(z / distance)
+        low, high = elevation - half_angle, elevation + half_angle
+        half_azimuth = math.radians(sonar.azimuth_fov_deg) / 2 + reception.reach_rad
+        cosine = np.cos(elevation)
+        beside = np.where(sine < cosine, np.arcsin(np.minimum(sine / np.maximum(cosine, 1e-9), 1.0)), np.pi)
+        shown, is_ahead = np.arctan2(y, x), True
+        if reception.are_cones:
+            shown, beside = np.arcsin(np.clip(y / distance, -1.0, 1.0)), half_angle
+            is_ahead = x > -radii_m
+        nearest, farthest = distance - radii_m, distance + radii_m
+        inside = (
+            state.present
+            & (nearest < sonar.range_max_m)
+            & (farthest > sonar.range_min_m)
+            & (np.abs(elevation) - half_angle < reception.max_elevation_rad)
+            & (np.abs(shown) - beside < half_azimuth)
+            & is_ahead
+        )
+        angle = np.minimum(self._columns.areas_m2 / np.maximum(nearest, distance / 2) ** 2, 4 * np.pi)
+        sines = (np.sin(np.clip(end, -np.pi / 2, np.pi / 2)) for end in (low, high))
+        weight = reception.greatest_gain(nearest, farthest) * reception.greatest_pattern(*sines)
+        out[1:] = np.where(inside, angle * weight, 0.0) * self.greatest_backscatter(state)
+        return out
+
+    def share_in_view(self, number: int, body, state: SceneState, pose, reception: Reception) -> float:
+        """Return what share of `greatest_echo` a body may return, as its lobe need not be seen where it is greatest.
+
+        number : of the body, from 1
+        """
+        lobe, greatest = self._columns.lobes[number - 1], self.greatest_backscatter(state)[number - 1]
+        if lobe <= 0.0 or greatest <= 0.0:
+            return 1.0
+        in_view = greatest_lobe(body, state.poses[number - 1], pose, reception)
+        return float((greatest - lobe + in_view) / greatest)
+
+    def greatest_backscatter(self, state: SceneState) -> np.ndarray:
+        """Return (bodies,) the most that each may return per steradian: reflectivity and the greatest lobe."""
+        greatest = GreatestReflectivity(self._columns.own, self._columns.per_unit)
+        return greatest.in_state(state) + self._columns.lobes
