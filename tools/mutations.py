@@ -1606,7 +1606,13 @@ MUTATIONS = (
         "planner/rows between those that are counted",
         "area = (u[1] * v[2] - u[2] * v[1]) * every",
         "area = u[1] * v[2] - u[2] * v[1]",
-        ("test_multipath",),
+        ("test_adaptive::test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples",),
+    ),
+    Mutation(
+        "sonar inside a body/later pings",
+        "self._has_looked = True",
+        "self._has_looked = False",
+        ("test_simulator::test_the_first_ping_of_a_sonar_inside_a_body_warns",),
     ),
     Mutation(
         "obstruction/sphere in the frame of the body",

@@ -25,7 +25,7 @@ from sonar_gl.engine.sampler import FixedSampling
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import IN_USE, World
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES, MAX_SAMPLES
-from sonar_gl.scene.extent import air_text
+from sonar_gl.scene.extent import air_text, inside_text
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
@@ -51,7 +51,7 @@ class Run:
         self, world: World, sonar: Sonar, acoustics: Acoustics, sampling: Sampling | None, tolerance: float
     ):
         world.join(id(self))
-        self._world, self._is_closed, self._has_warned_of_air = world, False, False
+        self._world, self._is_closed, self._has_warned_of_air, self._has_looked = world, False, False, False
         self._in_flight: list[Job] = []  # for which `drawing` waits
         self._summing = Lock()  # held by the one job of `receive_later` that runs
         self._idle_workers = []  # PingWorkers of past sequences
@@ -175,6 +175,15 @@ class Run:
             self._has_warned_of_air = True
             warn_caller(text)
 
+    def _warn_of_body(self, setup: PingSetup) -> None:
+        """Warn of a sonar inside a body in the first ping: to look at each would take as long as a ping."""
+        if not self._has_looked:
+            self._has_looked = True
+            bodies, state = self.world.scene.bodies[: setup.n_bodies], setup.state
+            text = inside_text(bodies, state.poses, state.present, setup.head_pose[:3, 3])
+            if text:
+                warn_caller(text)
+
     def with_later_bodies(self, setup: PingSetup) -> PingSetup:
         """Return a setup with the bodies that were added to the scene after it was made, as absent ones."""
         n_bodies = len(self.world.scene.bodies)
@@ -289,9 +298,10 @@ class Run:
     def report(self, received: ReceivedPing) -> PingReport:
         """Return what a ping tells beside its echo; inside `drawing`, or with the world `unchanged`.
 
-        Warns of multipath that breaks the tolerance.
+        Warns of multipath that breaks the tolerance, and, in the first ping, of a body around the sonar.
         """
         setup = received.drawn.setup
+        self._warn_of_body(setup)
         no_echo = None
         if received.total <= 0:
             instrument, view = self.instrument, received.drawn.view.sectors

@@ -53,11 +53,16 @@ def body_around(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, 
     for body, pose, is_present in zip(bodies, poses, present, strict=True):
         if not is_present:
             continue
-        corners = np.asarray(body.surface.vertices, np.float64) @ pose[:3, :3].T + (pose[:3, 3] - place)
-        corners[:, :2] += BESIDE_M
-        if (corners.max(axis=0) < 0).any() or (corners.min(axis=0)[:2] > 0).any():
+        vertices, faces = np.asarray(body.surface.vertices, np.float64), np.asarray(body.surface.faces)
+        offset = pose[:3, 3] - place + (*BESIDE_M, 0.0)
+        for axis in (0, 1):  # faces that the line may meet: few of a terrain
+            turn, (x, y, z) = pose[axis, :3], vertices.T
+            is_beyond = turn[0] * x + turn[1] * y + turn[2] * z > -offset[axis]
+            first, second, third = (is_beyond[faces[:, k]] for k in range(3))
+            faces = faces[(first != second) | (second != third)]
+        if not len(faces):
             continue
-        a, b, c = (corners[body.surface.faces[:, k]] for k in range(3))
+        a, b, c = (vertices[faces[:, k]] @ pose[:3, :3].T + offset for k in range(3))
         # twice the areas of the triangles between the line and each edge, as seen from above
         sides = np.stack([_cross(a, b), _cross(b, c), _cross(c, a)])
         way = np.where((sides > 0).all(axis=0), 1, np.where((sides < 0).all(axis=0), -1, 0))
@@ -81,6 +86,22 @@ def air_text(scene: Scene, pose: np.ndarray) -> str:
     return (
         f"the sonar at z = {pose[2, 3]:.4g} m is above the water's surface at z = {scene.surface_z_m:.4g} m, which "
         "has no effect on it; give it a lower pose, or the scene another surface (--surface, Scene.with_surface)"
+    )
+
+
+def inside_text(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, place: np.ndarray) -> str:
+    """Return the warning of a sonar inside a body, or below a terrain; "" without one; parameters of `body_around`.
+
+    >>> inside_text([], [], [], np.zeros(3))
+    ''
+    """
+    name = body_around(bodies, poses, present, place)
+    if not name:
+        return ""
+    at = ", ".join(f"{number:.4g}" for number in place)
+    return (
+        f"the sonar at ({at}) m is inside body {name!r}, or below it if it is a terrain, and sees what no sonar does "
+        "from there; give it another pose, or have the body absent in its pings (Simulator.ping(bodies=...))"
     )
 
 

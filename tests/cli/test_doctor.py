@@ -572,6 +572,16 @@ def test_a_sonar_above_the_water_is_told(tmp_path):
     )
 
 
+def test_a_sonar_inside_a_body_is_told(tmp_path):
+    hull = (
+        '<model name="hull"><link name="l"><collision name="c"><geometry><sphere><radius>0.4</radius></sphere>'
+        "</geometry></collision></link></model>"
+    )
+    out = run("--scene", write_world(tmp_path / "a.sdf", hull))[1]
+    assert "\nwarnings\n" in out and "  the sonar at (0, 0, 0) m is inside body 'hull', " in out
+    assert "inside" not in run("--scene", write_world(tmp_path / "a.sdf"))[1]
+
+
 def test_the_pose_of_a_sonar_that_no_sensor_gives_is_shown(tmp_path):
     """As of a MuJoCo model, whose site is the sonar."""
     (tmp_path / "m.xml").write_text(

@@ -974,6 +974,38 @@ def test_a_sonar_above_the_water_warns_once():
     assert only.filename == __file__
 
 
+def test_the_first_ping_of_a_sonar_inside_a_body_warns():
+    """Later ones do not, since to look at each pose would take long; nor where the body is absent."""
+    ball, wall = (
+        sg.Body(name, mesh, sg.pose(x))
+        for name, mesh, x in (
+            ("ball", trimesh.creation.icosphere(2, 0.5), 0.3),
+            ("wall", trimesh.creation.box((1, 20, 20)), 8),
+        )
+    )
+    scene, kinds = (
+        sg.Scene([ball, wall]),
+        (sg.load_sonar("p900-45"), sg.Acoustics.ideal(), sg.Sampling(1, 20)),
+    )
+    for poses, bodies, n_warnings in (
+        ([sg.pose(), sg.pose()], None, 1),
+        ([sg.pose(2), sg.pose()], None, 0),
+        ([sg.pose()], {"ball": None}, 0),
+    ):
+        with sg.Simulator(scene, *kinds) as simulator, warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            for pose in poses:
+                simulator.ping(pose, bodies=bodies)
+        assert len(caught) == n_warnings
+        for one in caught:
+            assert str(one.message) == (
+                "the sonar at (0, 0, 0) m is inside body 'ball', or below it if it is a terrain, and sees what no "
+                "sonar does from there; give it another pose, or have the body absent in its pings "
+                "(Simulator.ping(bodies=...))"
+            )
+            assert one.filename == __file__
+
+
 def test_whole_numbers_of_a_sonar_compile_nothing_more():
     body, kinds = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(8)), []
     for range_m in (10.0, 10):

@@ -858,11 +858,14 @@ def test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples(stripes)
     plane_echo = np.stack([q, 0 * q, 0 * q, mu * length / q], axis=-1).astype(np.float32)
     table = 1 + np.linspace(-1, 1, 4001)  # of a pattern that rises with the sine of the elevation
     reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, table, parts_of(fan))
-    found = count_bodies(view_of([SectorSamples(sector, plane_echo, is_on.astype(np.uint16))]), 1, reception)
+    view = view_of([SectorSamples(sector, plane_echo, is_on.astype(np.uint16))])
+    found, of_third_rows = (count_bodies(view, 1, reception, every=every) for every in (1, 3))
     angle = np.linalg.det(sector.steps) / length**3
     echo = mu * angle * gain[40 + j] * (1 + v / length)
     assert found.samples.tolist() == [0, 600]
     assert found.echo[1] == pytest.approx(echo.sum(), rel=1e-3)  # the nearest entry of the table
+    assert of_third_rows.samples.tolist() == [0, 30 * len(range(21, 40, 3))]
+    assert of_third_rows.echo[1] == pytest.approx(3 * echo[::3].sum(), rel=1e-3)
     inside = echo[20:40, 40:70]
     both = ((np.diff(inside, axis=axis) ** 2).sum() for axis in (0, 1))
     assert found.unevenness[1] == pytest.approx(math.sqrt(max(both) / 2), rel=1e-3)
