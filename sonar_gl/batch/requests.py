@@ -14,7 +14,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics, check_moved
 from sonar_gl.acoustics.water import Water
 from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, split_sonar
-from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
+from sonar_gl.batch.trajectories import FileTrajectory, RandomViews, Trajectory, build_trajectory
 from sonar_gl.core.checks import check_choice, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
@@ -167,7 +167,8 @@ class BatchRequests(Sequence):
     def device_warnings(self) -> Iterator[str]:
         """Yield a sentence about each sonar with a longer range than the device allows.
 
-        And about each trajectory whose pings follow each other faster than a sonar makes them.
+        And about each trajectory whose pings follow each other faster than a sonar makes them; random views do not
+        follow each other.
         """
         for sonar in self.sonars.values():
             if beyond := sonar.beyond_limit_text():
@@ -175,6 +176,8 @@ class BatchRequests(Sequence):
         speed_m_s = self.acoustics.assumed_sound_speed_m_s()
         max_rates_hz = {name: sonar.max_ping_rate_hz(speed_m_s) for name, sonar in self.sonars.items()}
         for k, trajectory in enumerate(self._trajectories):
+            if isinstance(trajectory, RandomViews):
+                continue
             shortest_s = _shortest_step_s(trajectory)
             for name, max_rate_hz in max_rates_hz.items():
                 if too_short_step_s([0.0, shortest_s], max_rate_hz) is not None:

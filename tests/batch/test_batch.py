@@ -251,6 +251,15 @@ def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
         "(got 100; its range, its ping_rate_max_hz, or the times)"
         for name, rate_hz in (("level", by_sound_hz(requests)), ("slow", 20.0))
     ]
+    views = {
+        "kind": "random_views",
+        "target_m": [0, 0, 0],
+        "range_m": [5, 5],
+        "n_pings": 3,
+        "ping_rate_hz": 100.0,
+    }
+    unrelated = BatchRequests(requests.job.model_copy(update={"poses": [views]}))
+    assert list(unrelated.device_warnings()) == []
 
 
 def test_ranges_beyond_what_a_device_allows_are_warned_of(requests):
