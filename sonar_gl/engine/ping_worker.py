@@ -30,8 +30,7 @@ class PingWorker:
         self._images = None
         if acoustics.multipath != "none":
             self._images = ImageSources(self._stages, None, world.scene, run.tolerance)
-        self._sampling = self._search = None
-        self._tolerance, self._gain = run.tolerance, run.instrument.gain
+        self._search, self._tolerance, self._gain = None, run.tolerance, run.instrument.gain
         self._making = Lock()
 
     def job(self, setup: PingSetup, resolution: Resolution, scene: Scene) -> Job:
@@ -45,10 +44,9 @@ class PingWorker:
         def make() -> list[ReceivedPing]:
             with self._making, STEP_BACK:  # another thread may make another ping of this worker
                 images = self._images_in(scene)
-                if resolution.stage.sampling != self._sampling:
-                    self._stages.drop_large()  # of finer samples
-                    self._sampling = resolution.stage.sampling
-                own = replace(resolution, stage=self._stages.stage(self._sampling))
+                stage = self._stages.stage(resolution.stage.sampling)
+                self._stages.settle(stage.fan.n_samples)
+                own = replace(resolution, stage=stage)
                 return [receive(one) for one in draw(images, [setup], own)]
 
         return Job(make, IN_USE)

@@ -14,7 +14,10 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.core.worker import JobThreads
 from sonar_gl.engine import ping_worker, pipeline, sequence, threads, world
+from sonar_gl.engine.flow import Resolution
+from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
+from sonar_gl.engine.stage import KEPT_VIEWS, StageCache
 from sonar_gl.ping import BIN_LABELS
 from tests.support.estimates import record_estimates
 from tests.support.waiting import wait_until
@@ -975,3 +978,21 @@ def test_threads_and_the_caller_are_as_many_as_the_cores(monkeypatch):
         assert sum(thread.name == "sonar_gl ping" for thread in threading.enumerate()) == 3
         pings.close()
         wait_until(lambda: all(thread.name != "sonar_gl ping" for thread in threading.enumerate()))
+
+
+def test_a_worker_keeps_its_memory_as_samples_become_fewer_and_more(it, monkeypatch):
+    """To give it back with each change of sampling took the time of fresh memory in the next ping of many samples."""
+    given_back = []
+    monkeypatch.setattr(StageCache, "drop_large", lambda _: given_back.append(1))
+    run, worker = it.run, ping_worker.PingWorker(it.run)
+    setup = run.set_up(PingRequest(np.eye(4)))
+    with run.drawing():
+        fine, coarse = (
+            Resolution(run.stages.stage(one)) for one in (sg.Sampling(6, 120), sg.Sampling(1, 20))
+        )
+    for resolution in (fine, *[coarse] * (KEPT_VIEWS - 1), fine, *[coarse] * KEPT_VIEWS):
+        assert given_back == []
+        job = worker.job(setup, resolution, run.world.scene)
+        job.begin()
+        job.result()
+    assert given_back == [1]
