@@ -1615,6 +1615,18 @@ MUTATIONS = (
         ("test_simulator::test_the_first_ping_of_a_sonar_inside_a_body_warns",),
     ),
     Mutation(
+        "run/a job of this thread behind others",
+        "job.check_free()  # first: one",
+        "pass  # first: one",
+        ("test_sequence::test_a_ping_inside_a_job_is_refused_before_any_other_job_is_awaited",),
+    ),
+    Mutation(
+        "worker/memory with each change of sampling",
+        "self._stages.settle(stage.fan.n_samples)",
+        "self._stages.drop_large()",
+        ("test_sequence::test_a_worker_keeps_its_memory_as_samples_become_fewer_and_more",),
+    ),
+    Mutation(
         "obstruction/sphere in the frame of the body",
         "centre = sonar_from_body[:3, :3] @ sphere.centre + sonar_from_body[:3, 3]",
         "centre = sphere.centre",

@@ -95,9 +95,11 @@ class Run:
         The block waits for the pings that other threads still make, except for those of `beside`.
         """
         with self.world.drawing() as context:
-            for job in self._in_flight:
-                if job not in beside:
-                    job.settle()
+            awaited = [job for job in self._in_flight if job not in beside]
+            for job in awaited:
+                job.check_free()  # first: one that another thread does may wait for what this thread's job holds
+            for job in awaited:
+                job.settle()
             self._in_flight = [job for job in self._in_flight if not job.is_over]  # they hold arrays
             self.check_open()  # it may have been closed while this one waited
             yield context

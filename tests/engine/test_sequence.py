@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.core.worker import JobThreads
+from sonar_gl.core.worker import Job, JobThreads
 from sonar_gl.engine import ping_worker, pipeline, sequence, threads, world
 from sonar_gl.engine.flow import Resolution
 from sonar_gl.engine.request import PingRequest
@@ -996,3 +996,30 @@ def test_a_worker_keeps_its_memory_as_samples_become_fewer_and_more(it, monkeypa
         job.begin()
         job.result()
     assert given_back == [1]
+
+
+def test_a_ping_inside_a_job_is_refused_before_any_other_job_is_awaited(it):
+    """As by a signal handler: another thread waits for what this one's job holds, so that both would wait for ever."""
+    run, held, has_begun, failures = it.run, threading.Lock(), threading.Event(), []
+
+    def wait_for_it():
+        has_begun.set()
+        held.acquire(timeout=20)  # not for ever, so that the test ends
+        return []
+
+    def ping():
+        with held:
+            threading.Thread(target=first.begin, daemon=True).start()
+            has_begun.wait()
+            it.ping(np.eye(4))
+
+    def make():
+        second.begin()
+        failures.append(second.failure)
+
+    first, second = (run.await_job(Job(work, world.IN_USE)) for work in (wait_for_it, ping))
+    thread = threading.Thread(target=make, daemon=True)
+    thread.start()
+    thread.join(10)
+    assert [str(one) for one in failures] == [world.IN_USE]
+    assert it.ping(np.eye(4)).intensity.sum() > 0
