@@ -6,7 +6,7 @@ import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -263,21 +263,32 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
     with ExitStack() as stack:
         for name, simulator in _open_simulators(batch, scene, stack).items():
             run, mount = simulator.run, requests.mounts[name]
-            warned = stack.enter_context(collected_warnings())
-            for request in spread:
-                setup = run.set_up(request.for_sonar(mount))
-                with run.drawing():
-                    tried, plan = run.sampler.search.choose(setup)
-                    has_echo = tried.echo.total > 0
-                decides = plan.worst_body_estimate / WORST_BODY > plan.error_estimate
-                body, n_samples = bodies[plan.worst_body * decides], plan.n_samples
-                place, state = (request.vehicle_pose @ mount)[:3, 3], setup.state
-                around = body_around(scene_bodies, state.poses, state.present, place)
-                found.append(HardView(request.number, name, n_samples, plan.bound, body, has_echo, around))
-            for warning in warned:
-                if not issubclass(warning.category, ToleranceWarning):  # the estimates say so
-                    report("warning", _placed(warning, batch, scene, name))
+            with _warnings_to(report, batch, scene, name):
+                for request in spread:
+                    setup = run.set_up(request.for_sonar(mount))
+                    with run.drawing():
+                        tried, plan = run.sampler.search.choose(setup)
+                        has_echo = tried.echo.total > 0
+                    decides = plan.worst_body_estimate / WORST_BODY > plan.error_estimate
+                    body, n_samples = bodies[plan.worst_body * decides], plan.n_samples
+                    place, state = (request.vehicle_pose @ mount)[:3, 3], setup.state
+                    around = body_around(scene_bodies, state.poses, state.present, place)
+                    found.append(
+                        HardView(request.number, name, n_samples, plan.bound, body, has_echo, around)
+                    )
     return found
+
+
+@contextmanager
+def _warnings_to(report: Report, batch: Batch, scene: int, sonar: str) -> Iterator[None]:
+    """Report the warnings of a block, also if it fails, but not of tolerances: the estimates tell of these."""
+    with collected_warnings() as found:
+        try:
+            yield
+        finally:
+            for warning in found:
+                if not issubclass(warning.category, ToleranceWarning):
+                    report("warning", _placed(warning, batch, scene, sonar))
 
 
 def _placed(warning: CollectedWarning, batch: Batch, scene: int, sonar: str) -> str:

@@ -784,6 +784,20 @@ def test_a_survey_says_what_decides_the_samples_of_each_ping(tmp_path, monkeypat
     )
 
 
+def test_a_survey_that_fails_has_reported_its_warnings(tmp_path, monkeypatch):
+    batch, reports = open_batch(write_job(tmp_path, 3, ""), tmp_path / "out"), []
+
+    def choose(search, setup):
+        warn_caller("the water is cold")
+        raise sg.Error("the samples do not fit")
+
+    monkeypatch.setattr(LevelSearch, "choose", choose)
+    with pytest.raises(sg.Error, match="do not fit"):
+        parts.survey(batch, 0, lambda *told: reports.append(told))
+    sonar, scene = next(iter(batch.requests.sonars)), batch.requests.job.scenes[0]
+    assert reports == [("warning", f"warning: {sonar} in {scene}: the water is cold")]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("n_scenes", "more"), [(1, 0), (2, 0), (2, 20)])
 def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monkeypatch, n_scenes, more):
