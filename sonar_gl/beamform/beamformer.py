@@ -31,7 +31,7 @@ from sonar_gl.beamform.weights import BeamWeights, beam_weights, elevations_of, 
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, fitted_sampling, make_fan
+from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, sector_table, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
 from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, Strips
@@ -163,18 +163,21 @@ def make_beamformer(
     return Beamformer(fan, weights, lobes, design.elevation_pattern, thread, design.beams.is_box, workspace)
 
 
-def fitted_to_columns(
-    sonar: Sonar,
-    acoustics: Acoustics,
-    sampling: Sampling,
-    shear: float = SHEAR,
-    widths: ColumnWidths = USUAL_WIDTHS,
-    workspace: Workspace | None = None,
-) -> Sampling:
-    """Return the `fitted_sampling` of a sonar; parameters as for `make_beamformer`."""
-    workspace = workspace or Workspace()
-    design = workspace.once(("design", True), lambda: _design_of(sonar, acoustics, True))
-    return fitted_sampling(sonar, sampling, design.beams, shear, widths)
+def beam_shape(sonar: Sonar, acoustics: Acoustics, side_lobes: bool = True) -> BeamShape:
+    """Return what the beams of a sonar ask of its fan; side_lobes : as for `make_beamformer`."""
+    has_transmit_beam = acoustics.transmit_pattern(sonar) is not None
+    beams = BeamShape(
+        acoustics.receive_support_rad(sonar),
+        is_box=acoustics.receive_pattern(sonar) is None,
+        are_cones=acoustics.has_cones(sonar),
+        transmit_width_rad=math.radians(sonar.transmit_width_deg) if has_transmit_beam else math.inf,
+    )
+    if not side_lobes:
+        return beams
+    return beams._replace(
+        dense_elevation_deg=acoustics.dense_elevation_deg(sonar),
+        max_elevation_deg=acoustics.max_elevation_deg(sonar),
+    )
 
 
 class _Design(NamedTuple):
@@ -183,7 +186,7 @@ class _Design(NamedTuple):
     Attributes
     ----------
     sonar : of `Acoustics.true_range_sonar`
-    beams : BeamShape
+    beams : of `beam_shape`
     pattern, transmit_pattern, elevation_pattern : of `beam_weights`
     far_pattern, null_rad : of `Acoustics`
     """
@@ -198,20 +201,15 @@ class _Design(NamedTuple):
 
 
 def _design_of(sonar: Sonar, acoustics: Acoustics, side_lobes: bool) -> _Design:
-    pattern, transmit = acoustics.receive_pattern(sonar), acoustics.transmit_pattern(sonar)
-    beams = BeamShape(
-        acoustics.receive_support_rad(sonar),
-        is_box=pattern is None,
-        are_cones=acoustics.has_cones(sonar),
-        transmit_width_rad=math.inf if transmit is None else math.radians(sonar.transmit_width_deg),
+    return _Design(
+        acoustics.true_range_sonar(sonar),
+        beam_shape(sonar, acoustics, side_lobes),
+        acoustics.receive_pattern(sonar),
+        acoustics.transmit_pattern(sonar),
+        acoustics.two_way_elevation_pattern(sonar),
+        acoustics.far_pattern(sonar),
+        acoustics.null_rad(sonar),
     )
-    if side_lobes:
-        beams = beams._replace(
-            dense_elevation_deg=acoustics.dense_elevation_deg(sonar),
-            max_elevation_deg=acoustics.max_elevation_deg(sonar),
-        )
-    patterns = pattern, transmit, acoustics.two_way_elevation_pattern(sonar), acoustics.far_pattern(sonar)
-    return _Design(acoustics.true_range_sonar(sonar), beams, *patterns, acoustics.null_rad(sonar))
 
 
 class Beamformer:
