@@ -281,7 +281,6 @@ class Beamformer:
         self._all_strips = tuple(_within(*of_fan, half, received) for half in self._column_halves)
         self.strips = tuple(_of_sectors(*strips) for strips in self._all_strips)
         self._wide_shares = fan.wide_shares
-        self._last_rows = None, 0.0
         self._strips_per_column = np.array([len(one.strips.middle) / one.columns for one in fan.sectors])
 
     @cached_property
@@ -363,10 +362,7 @@ class Beamformer:
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
-        images = (
-            self._images_of(view.sectors, view.body_spans) if view.table is None else [self._image_of(view)]
-        )
-        return self._with_bubbles(self.weigh(self._sum_images(images), gain), view, gain)
+        return self._with_bubbles(self.weigh(self._sum_surfaces(view), gain), view, gain)
 
     def _with_bubbles(self, surfaces: BeamEcho, view: ViewSamples, gain) -> BeamEcho:
         return surfaces if view.bubbles is None else surfaces.with_more(self.sum_points(view.bubbles, gain))
@@ -375,27 +371,11 @@ class Beamformer:
         self, samples: Sequence[SectorSamples], gain=NO_GAIN, body_spans: np.ndarray = NO_SPANS
     ) -> BeamEcho:
         """Return the echo of surfaces, times the (K,) float32 gain; body_spans : of `ViewSamples`."""
-        return self.weigh(self._sum_images(self._images_of(samples, body_spans)), gain)
+        return self.sum_view(ViewSamples(tuple(samples), body_spans=body_spans), gain)
 
-    def _image_of(self, view: ViewSamples) -> _ImageOfSectors:
-        """Return the image of a view, which holds all sectors side by side."""
-        spans = view.body_spans if view.body_id.size else NO_SPANS
-        n = len(self.fan.sectors)
-        return _ImageOfSectors((view.plane_echo, view.face_id, view.body_id, spans, view.table), slice(n + 1))
-
-    def _images_of(self, samples: Sequence[SectorSamples], body_spans: np.ndarray) -> list[_ImageOfSectors]:
-        """Return the samples of each sector as an image of its own."""
-        out = []
-        for number, (_, one) in enumerate(zip(self.fan.sectors, samples, strict=True)):
-            arrays = (whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id))
-            spans = body_spans if one.body_id.size else NO_SPANS
-            table = tuple(sector_table([one.sector], [0]))
-            out.append(_ImageOfSectors((*arrays, spans, table), slice(number, number + 2)))
-        return out
-
-    def _sum_images(self, images: Sequence[_ImageOfSectors]) -> ColumnSums:
-        """Return the sums of surfaces in columns."""
-        columns = self._column_sums()
+    def _sum_surfaces(self, view: ViewSamples) -> ColumnSums:
+        """Return the sums of a view's surfaces in columns."""
+        columns, images = self._column_sums(), self._images_of(view)
 
         def work(half):
             self.clear_columns(half, columns)
@@ -414,18 +394,30 @@ class Beamformer:
                 )
             self._share_wide_columns(self._wide_parts[half], columns)
 
-        self._run(work, sum(self._strip_rows(table, sectors) for (*_, table), sectors in images) < FEW_ROWS)
+        self._run(work, self._strip_rows(images) < FEW_ROWS)
         self._share_wide_columns(self._wide_parts[2], columns)
         return columns
 
-    def _strip_rows(self, table: tuple, sectors: slice) -> float:
-        """Return about how many rows of strips some sectors have; kept, since the samples of pings often lie alike."""
-        last = self._last_rows
-        if last[0] is not table:
-            places = table[0]
-            n_rows = self._strips_per_column[sectors][: len(places)] @ (places[:, 1] * places[:, 2])
-            last = self._last_rows = table, float(n_rows)
-        return last[1]
+    def _images_of(self, view: ViewSamples) -> list[_ImageOfSectors]:
+        """Return the image of a view, which holds all sectors side by side; that of each sector if a host drew them."""
+        if view.table is not None:
+            spans = view.body_spans if view.body_id.size else NO_SPANS
+            arrays = view.plane_echo, view.face_id, view.body_id, spans, view.table
+            return [_ImageOfSectors(arrays, slice(len(self.fan.sectors) + 1))]
+        out = []
+        for number, (_, one) in enumerate(zip(self.fan.sectors, view.sectors, strict=True)):
+            arrays = (whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id))
+            spans = view.body_spans if one.body_id.size else NO_SPANS
+            table = tuple(sector_table([one.sector], [0]))
+            out.append(_ImageOfSectors((*arrays, spans, table), slice(number, number + 2)))
+        return out
+
+    def _strip_rows(self, images: Sequence[_ImageOfSectors]) -> float:
+        """Return about how many rows of strips some images have."""
+        n_rows = 0.0
+        for (*_, (places, *_)), sectors in images:
+            n_rows += self._strips_per_column[sectors][: len(places)] @ (places[:, 1] * places[:, 2])
+        return n_rows
 
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
@@ -496,7 +488,7 @@ class Beamformer:
         view : ViewSamples, whose samples must hold the numbers of bodies
         """
         columns = self._column_sums()
-        is_little = self._strip_rows_of(view.sectors) < FEW_LABEL_ROWS
+        is_little = self._strip_rows(self._images_of(view)) < FEW_LABEL_ROWS
         run, clear = partial(self._run, serial=is_little), partial(self.clear_columns, columns=columns)
         runs = self._labeller.sum_up(view, self.strips, run, columns, clear)
         self.share_wide_columns(columns)
@@ -520,7 +512,7 @@ class Beamformer:
         mask, unshadowed = None, None
         if background is not None:
             mask, view = background
-            columns = self._sum_images(self._images_of(view.sectors, view.body_spans))
+            columns = self._sum_surfaces(view)
             # without far side lobes, which labels leave out
             unshadowed, _ = self._weigh_support(columns, self._tiles, NO_GAIN)
         run = partial(self._run, serial=bodies.is_little)
@@ -534,11 +526,6 @@ class Beamformer:
             work(1)
         else:
             self._thread.run_halves(work)
-
-    def _strip_rows_of(self, samples: Sequence[SectorSamples]) -> float:
-        """Return about how many rows of strips the samples of all sectors have."""
-        n_samples = [one.plane_echo.shape[0] * one.plane_echo.shape[1] for one in samples]
-        return float(self._strips_per_column @ n_samples)
 
     def weigh(self, columns: ColumnSums, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
