@@ -26,7 +26,7 @@ from sonar_gl.beamform.kernels.image_sources import Reflection, sum_image_source
 from sonar_gl.beamform.kernels.range_bins import bin_table
 from sonar_gl.beamform.kernels.strips import StripTable
 from sonar_gl.beamform.kernels.work_table import MAX_STRIP_ROWS
-from sonar_gl.beamform.labels import Labeller, Labels, bins_of_bodies
+from sonar_gl.beamform.labels import BodySums, Labeller, Labels, bins_of_bodies, label_columns
 from sonar_gl.beamform.weights import BeamWeights, beam_weights, elevations_of, gauss_nodes
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
@@ -77,24 +77,6 @@ class _ImageOfSectors(NamedTuple):
 
     arrays: tuple
     sectors: slice
-
-
-class BodySums(NamedTuple):
-    """The echo of each body in columns and bins; valid until bodies are summed again in the same workspace.
-
-    Attributes
-    ----------
-    runs : plain tuple of Runs
-    body_bins : of `bins_of_bodies`
-    direct : (B, K) float32, all direct echo with the gain, in an array that is overwritten later; empty if the runs
-        hold all of it, which is so without far side lobes and bubbles
-    is_little : whether there is so little work that one thread does it
-    """
-
-    runs: tuple
-    body_bins: np.ndarray
-    direct: np.ndarray
-    is_little: bool
 
 
 class ShadowedBackground(NamedTuple):
@@ -263,7 +245,8 @@ class Beamformer:
         )
         self._weights, self._tiles = weights, tuple(weights.tiles)
         self._tile_halves = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
-        self._spread = fan.sampling.reducer == "footprint"
+        # bins, spread and elevation_pattern of `kernels.column_sums.sum_footprints`
+        self._spreading = self._bins, fan.sampling.reducer == "footprint", self.elevation_table
         self._far = far_lobes
         # with far side lobes, beams receive all columns
         received = np.ones(fan.n_columns, bool) if far_lobes else weights.received
@@ -328,8 +311,10 @@ class Beamformer:
     @cached_property
     def _labeller(self) -> Labeller:
         response = self._weights.column_response if self._far is None else self._far.column_response
-        tables = self._tile_halves, self._bins, self.elevation_table
-        return Labeller(self.fan, self._weights, self.is_box, *tables, self._workspace, response)
+        columns = label_columns(self.fan, self._weights, self.is_box, response)
+        return Labeller(
+            columns, self._spreading, self._tile_halves, len(self._weights.first), self._workspace
+        )
 
     @property
     def n_bytes(self) -> int:
@@ -386,9 +371,7 @@ class Beamformer:
                     *arrays,
                     first_strip[sectors],
                     strips,
-                    self._bins,
-                    self._spread,
-                    self.elevation_table,
+                    *self._spreading,
                     columns.all_sums,
                     columns.all_spans,
                 )
@@ -516,8 +499,7 @@ class Beamformer:
             # without far side lobes, which labels leave out
             unshadowed, _ = self._weigh_support(columns, self._tiles, NO_GAIN)
         run = partial(self._run, serial=bodies.is_little)
-        sums = bodies.body_bins, bodies.direct
-        return self._labeller.find(bodies.runs, run, gain, n_bodies, *sums, mask, unshadowed)
+        return self._labeller.find(bodies, run, gain, n_bodies, mask, unshadowed)
 
     def _run(self, work, serial: bool = False) -> None:
         """Call work(0) and work(1), one for each half: in two threads, or one after the other if `serial`."""
