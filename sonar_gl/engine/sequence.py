@@ -123,9 +123,7 @@ class _Upcoming:
         """
         sampler, batch = self._run.sampler, []
         if most > 1:
-            sectors = sampler.resolution.stage.fan.sectors
-            n_samples = sum(sector.columns * sector.rows for sector in sectors)
-            most = max(1, min(most, BATCH_SAMPLES // n_samples))
+            most = max(1, min(most, BATCH_SAMPLES // sampler.resolution.stage.fan.n_samples))
         while len(batch) < most:
             if not self._setups:
                 return _Batch(batch, must_wait=True)
