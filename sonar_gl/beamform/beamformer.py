@@ -30,7 +30,7 @@ from sonar_gl.beamform.labels import BodySums, Labeller, Labels, bins_of_bodies,
 from sonar_gl.beamform.weights import BeamWeights, beam_weights, elevations_of, gauss_nodes
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
-from sonar_gl.core.worker import SecondThread
+from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, sector_table, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
@@ -503,11 +503,7 @@ class Beamformer:
 
     def _run(self, work, serial: bool = False) -> None:
         """Call work(0) and work(1), one for each half: in two threads, or one after the other if `serial`."""
-        if serial or self._thread is None:
-            work(0)
-            work(1)
-        else:
-            self._thread.run_halves(work)
+        run_halves(None if serial else self._thread, work)
 
     def weigh(self, columns: ColumnSums, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
