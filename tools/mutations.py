@@ -1004,8 +1004,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/samples that fit again",
-        "level, finest = (finer or [wanted])[-1], choice.finest if level < choice.level: finest = self.search.finest",
-        "level, finest = (finer or [wanted])[-1], choice.finest",
+        "finest = self.search.finest if level < choice.level else choice.finest",
+        "finest = choice.finest",
         (MOVED_LEVEL,),
     ),
     Mutation(
