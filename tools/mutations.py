@@ -334,7 +334,9 @@ MUTATIONS = (
     Mutation(
         "cones/parts below the horizon", "(enters > 0) & (below_low < below_high)", "(enters < 0)", CONES
     ),
-    Mutation("cones/mirrored columns", "*rest, self.fan.are_cones))", "*rest, False))", CONES),
+    Mutation(
+        "cones/mirrored columns", "(mirrored[column], *rest)", "(mirrored[column], *rest[:-1], False)", CONES
+    ),
     Mutation("cones/point scatterers", "np.sin(ahead[:, 0]) * level", "np.sin(ahead[:, 0])", CONES),
     Mutation(
         "footprints/columns into beams",
@@ -581,8 +583,8 @@ MUTATIONS = (
     ),
     Mutation(
         "visible bodies/strips narrower than a sample",
-        "np.maximum(np.concatenate([table.width for table in tables]), sector.u[1])[order]",
-        "np.concatenate([table.width for table in tables])[order]",
+        "np.maximum(widths, sector.u[1])[order]",
+        "widths[order]",
         (RECEIVED_SAMPLES,),
     ),
     Mutation(

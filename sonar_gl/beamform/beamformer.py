@@ -34,7 +34,7 @@ from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, sector_table, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
-from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector, Strips
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR, Sector
 from sonar_gl.sonar.sonar import Sonar
 
 # Work below these bounds is done in one thread, since handing half of it to the second one would take longer. Rows of
@@ -257,11 +257,11 @@ class Beamformer:
             for half in (0, 1)
         )
         self._wide_parts = _parts_of_wide_columns(edges, n_columns)
-        self._has_gaps = is_box and not received.all()
         if n_wide:
             received = np.append(received, np.logical_or.reduceat(received, edges[:-1]))
-        of_fan = _joined_strips([_as_table(sector.strips) for sector in fan.sectors])
-        self._all_strips = tuple(_within(*of_fan, half, received) for half in self._column_halves)
+        self._received = received
+        first, table = _strips_of(fan)
+        self._all_strips = tuple(_within(first, table, half, received) for half in self._column_halves)
         self.strips = tuple(_of_sectors(*strips) for strips in self._all_strips)
         self._wide_shares = fan.wide_shares
         self._strips_per_column = np.array([len(one.strips.middle) / one.columns for one in fan.sectors])
@@ -271,14 +271,9 @@ class Beamformer:
         """The strips as `strips` has them, numbered by the columns of the mirrored fan: port and starboard swapped."""
         n_columns, n_wide = self.fan.n_columns, self.fan.n_wide_columns
         mirrored = np.append(np.arange(n_columns)[::-1], n_columns + np.arange(n_wide)[::-1])
-        of_sectors = []
-        for halves in zip(*self.strips, strict=True):
-            column, *rest = (
-                np.concatenate(arrays) for arrays in zip(*(half[:-1] for half in halves), strict=True)
-            )
-            of_sectors.append((mirrored[column], *rest, self.fan.are_cones))
-        of_fan = _joined_strips(of_sectors)
-        return tuple(_of_sectors(*_within(*of_fan, half)) for half in self._column_halves)
+        first, (column, *rest) = _strips_of(self.fan)
+        table, received = (mirrored[column], *rest), self._received[mirrored]
+        return tuple(_of_sectors(*_within(first, table, half, received)) for half in self._column_halves)
 
     @cached_property
     def received_u(self) -> tuple[np.ndarray, ...]:
@@ -286,12 +281,9 @@ class Beamformer:
 
         Empty if beams take all samples. Boxes that are narrower than their spacing leave gaps.
         """
-        if not self._has_gaps:
+        if not self.is_box or self._received.all():
             return (np.empty(0),) * len(self.fan.sectors)
-        strips = zip(self.fan.sectors, *self.strips, strict=True)
-        return tuple(
-            _union_of_strips(sector, [StripTable(*half) for half in halves]) for sector, *halves in strips
-        )
+        return tuple(_union_of_strips(sector, self._received) for sector in self.fan.sectors)
 
     @cached_property
     def even_response(self) -> np.ndarray:
@@ -588,54 +580,48 @@ def _tables_of(fan: Fan, elevation_pattern: Callable | None) -> tuple[np.ndarray
     return table, tuple(bin_table(fan.sonar.bin_edges_m, fov_rad))
 
 
-def _as_table(strips: Strips) -> tuple:
-    """Return the strips of a sector as a plain StripTable."""
-    return strips.column, strips.middle, strips.width, strips.v_low, strips.v_high, strips.are_cones
+def _strips_of(fan: Fan) -> tuple[np.ndarray, tuple]:
+    """Return where the strips of each sector begin, and past the last, and the plain StripTable of all sectors."""
+    strips = [sector.strips for sector in fan.sectors]
+    first = np.cumsum([0, *(len(one.column) for one in strips)], dtype=np.int64)
+    *arrays, _ = StripTable._fields
+    columns = (np.concatenate([getattr(one, name) for one in strips]) for name in arrays)
+    return first, (*columns, fan.are_cones)
 
 
 def _within(
-    first: np.ndarray, table: tuple, half: Sequence[tuple[int, int]], received=None
+    first: np.ndarray, table: tuple, half: Sequence[tuple[int, int]], received: np.ndarray
 ) -> tuple[np.ndarray, tuple]:
-    """Return the strips of `_joined_strips` that lie in some columns, each from the first to before the last.
+    """Return the strips of `_strips_of` that lie in some columns, each from the first to before the last.
 
-    received : bool of each column, whether a beam receives it; None for all
+    received : bool of each column, whether a beam receives it
     """
     column, *_, are_cones = table
-    mine = np.logical_or.reduce([(low <= column) & (column < high) for low, high in half])
-    if received is not None:
-        mine &= received[column]
+    mine = received[column] & np.logical_or.reduce([(low <= column) & (column < high) for low, high in half])
     before = np.append(0, np.cumsum(mine))
     return before[first], (*(one[mine] for one in table[:-1]), are_cones)
 
 
 def _of_sectors(first: np.ndarray, table: tuple) -> list[tuple]:
-    """Return a plain StripTable of each sector from `_joined_strips`."""
+    """Return a plain StripTable of each sector from `_strips_of`."""
     *arrays, are_cones = table
     return [(*(one[begin:end] for one in arrays), are_cones) for begin, end in pairwise(first.tolist())]
 
 
-def _joined_strips(strips: Sequence[tuple]) -> tuple[np.ndarray, tuple]:
-    """Return the strips of several sectors as one plain StripTable, after where those of each begin, and past the last.
-
-    Parameters
-    ----------
-    strips : plain StripTable of each sector
-    """
-    first = np.cumsum([0, *(len(arrays[0]) for arrays in strips)], dtype=np.int64)
-    columns = (np.concatenate(one) for one in zip(*(arrays[:-1] for arrays in strips), strict=True))
-    return first, (*columns, strips[0][-1])
-
-
-def _union_of_strips(sector: Sector, tables: Sequence[StripTable]) -> np.ndarray:
+def _union_of_strips(sector: Sector, received: np.ndarray) -> np.ndarray:
     """Return (2n,) u between which the samples lie that upright strips take.
 
     A strip narrower than a sample takes the nearest one.
+
+    received : bool of each column, whether a beam receives it
     """
-    middles = np.concatenate([table.middle for table in tables])
-    if not len(middles):
+    strips = sector.strips
+    is_received = received[strips.column]
+    if not is_received.any():
         return np.full(2, np.inf)
+    middles, widths = strips.middle[is_received], strips.width[is_received]
     order = np.argsort(middles)
-    half_width = np.maximum(np.concatenate([table.width for table in tables]), sector.u[1])[order] / 2
+    half_width = np.maximum(widths, sector.u[1])[order] / 2
     low, high = middles[order] - half_width, np.maximum.accumulate(middles[order] + half_width)
     begins = np.append(True, low[1:] > high[:-1] + 1e-3 * sector.u[1])
     return np.column_stack([low[begins], high[np.append(begins[1:], True)]]).ravel()
