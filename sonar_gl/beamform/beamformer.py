@@ -489,7 +489,7 @@ class Beamformer:
             mask, view = background
             columns = self._sum_surfaces(view)
             # without far side lobes, which labels leave out
-            unshadowed, _ = self._weigh_support(columns, self._tiles, NO_GAIN)
+            unshadowed, _ = self._weigh_support(columns, NO_GAIN)
         run = partial(self._run, serial=bodies.is_little)
         return self._labeller.find(bodies, run, gain, n_bodies, mask, unshadowed)
 
@@ -500,12 +500,12 @@ class Beamformer:
     def weigh(self, columns: ColumnSums, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
         if self._far is None:
-            return BeamEcho(*self._weigh_support(columns, self._tiles, gain))
+            return BeamEcho(*self._weigh_support(columns, gain))
         return self._weigh_all(columns, self._far, gain)
 
-    def _weigh_support(self, columns: ColumnSums, tiles: tuple, gain) -> tuple[np.ndarray, float]:
+    def _weigh_support(self, columns: ColumnSums, gain) -> tuple[np.ndarray, float]:
         """Return (B, K) beams as weighted sums of the columns in the support of their patterns, and their sum."""
-        out, totals = self._pool.empty(), [0.0, 0.0]
+        tiles, out, totals = self._tiles, self._pool.empty(), [0.0, 0.0]
 
         def work(half):
             totals[half] = weigh_columns(
