@@ -30,9 +30,10 @@ class PingWorker:
         self._images = None
         if acoustics.multipath != "none":
             self._images = ImageSources(self._stages, None, world.scene, run.tolerance)
-        self._sampling = self._search = None
+        self._sampling = None  # of the last ping with given samples, whose stage has large arrays
+        self._search = None  # LevelSearch, once a ping chooses its samples
         self._tolerance, self._gain = run.tolerance, run.instrument.gain
-        self._making = Lock()
+        self._making = Lock()  # held by the one job that runs
 
     def job(self, setup: PingSetup, resolution: Resolution, scene: Scene) -> Job:
         """Return a job that makes one ping.
