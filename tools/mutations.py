@@ -334,7 +334,9 @@ MUTATIONS = (
     Mutation(
         "cones/parts below the horizon", "(enters > 0) & (below_low < below_high)", "(enters < 0)", CONES
     ),
-    Mutation("cones/mirrored columns", "*rest, self.fan.are_cones))", "*rest, False))", CONES),
+    Mutation(
+        "cones/mirrored columns", "(mirrored[column], *rest)", "(mirrored[column], *rest[:-1], False)", CONES
+    ),
     Mutation("cones/point scatterers", "np.sin(ahead[:, 0]) * level", "np.sin(ahead[:, 0])", CONES),
     Mutation(
         "footprints/columns into beams",
@@ -581,8 +583,8 @@ MUTATIONS = (
     ),
     Mutation(
         "visible bodies/strips narrower than a sample",
-        "np.maximum(np.concatenate([table.width for table in tables]), sector.u[1])[order]",
-        "np.concatenate([table.width for table in tables])[order]",
+        "np.maximum(widths, sector.u[1])[order]",
+        "widths[order]",
         (RECEIVED_SAMPLES,),
     ),
     Mutation(
@@ -1004,8 +1006,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/samples that fit again",
-        "level, finest = (finer or [wanted])[-1], choice.finest if level < choice.level: finest = self.search.finest",
-        "level, finest = (finer or [wanted])[-1], choice.finest",
+        "finest = self.search.finest if level < choice.level else choice.finest",
+        "finest = choice.finest",
         (MOVED_LEVEL,),
     ),
     Mutation(

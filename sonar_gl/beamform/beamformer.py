@@ -27,15 +27,15 @@ from sonar_gl.beamform.kernels.image_sources import Reflection, sum_image_source
 from sonar_gl.beamform.kernels.range_bins import bin_table
 from sonar_gl.beamform.kernels.strips import StripTable
 from sonar_gl.beamform.kernels.work_table import MAX_STRIP_ROWS
-from sonar_gl.beamform.labels import Labeller, Labels, bins_of_bodies
+from sonar_gl.beamform.labels import BodySums, Labeller, Labels, bins_of_bodies, label_columns
 from sonar_gl.beamform.weights import BeamWeights, beam_weights, elevations_of, gauss_nodes
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
-from sonar_gl.core.worker import SecondThread
-from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, fitted_sampling, make_fan
+from sonar_gl.core.worker import SecondThread, run_halves
+from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, sector_table, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
-from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, NO_UPRIGHTS, SHEAR, Sector, Strips
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, NO_UPRIGHTS, SHEAR, Sector
 from sonar_gl.sonar.sonar import Sonar
 
 # Work below these bounds is done in one thread, since handing half of it to the second one would take longer. Rows of
@@ -78,24 +78,6 @@ class _ImageOfSectors(NamedTuple):
 
     arrays: tuple
     sectors: slice
-
-
-class BodySums(NamedTuple):
-    """The echo of each body in columns and bins; valid until bodies are summed again in the same workspace.
-
-    Attributes
-    ----------
-    runs : plain tuple of Runs
-    body_bins : of `bins_of_bodies`
-    direct : (B, K) float32, all direct echo with the gain, in an array that is overwritten later; empty if the runs
-        hold all of it, which is so without far side lobes and bubbles
-    is_little : whether there is so little work that one thread does it
-    """
-
-    runs: tuple
-    body_bins: np.ndarray
-    direct: np.ndarray
-    is_little: bool
 
 
 class ShadowedBackground(NamedTuple):
@@ -164,18 +146,21 @@ def make_beamformer(
     return Beamformer(fan, weights, lobes, design.elevation_pattern, thread, design.beams.is_box, workspace)
 
 
-def fitted_to_columns(
-    sonar: Sonar,
-    acoustics: Acoustics,
-    sampling: Sampling,
-    shear: float = SHEAR,
-    widths: ColumnWidths = USUAL_WIDTHS,
-    workspace: Workspace | None = None,
-) -> Sampling:
-    """Return the `fitted_sampling` of a sonar; parameters as for `make_beamformer`."""
-    workspace = workspace or Workspace()
-    design = workspace.once(("design", True), lambda: _design_of(sonar, acoustics, True))
-    return fitted_sampling(sonar, sampling, design.beams, shear, widths)
+def beam_shape(sonar: Sonar, acoustics: Acoustics, side_lobes: bool = True) -> BeamShape:
+    """Return what the beams of a sonar ask of its fan; side_lobes : as for `make_beamformer`."""
+    has_transmit_beam = acoustics.transmit_pattern(sonar) is not None
+    beams = BeamShape(
+        acoustics.receive_support_rad(sonar),
+        is_box=acoustics.receive_pattern(sonar) is None,
+        are_cones=acoustics.has_cones(sonar),
+        transmit_width_rad=math.radians(sonar.transmit_width_deg) if has_transmit_beam else math.inf,
+    )
+    if not side_lobes:
+        return beams
+    return beams._replace(
+        dense_elevation_deg=acoustics.dense_elevation_deg(sonar),
+        max_elevation_deg=acoustics.max_elevation_deg(sonar),
+    )
 
 
 class _Design(NamedTuple):
@@ -184,7 +169,7 @@ class _Design(NamedTuple):
     Attributes
     ----------
     sonar : of `Acoustics.true_range_sonar`
-    beams : BeamShape
+    beams : of `beam_shape`
     pattern, transmit_pattern, elevation_pattern : of `beam_weights`
     far_pattern, null_rad : of `Acoustics`
     """
@@ -199,20 +184,15 @@ class _Design(NamedTuple):
 
 
 def _design_of(sonar: Sonar, acoustics: Acoustics, side_lobes: bool) -> _Design:
-    pattern, transmit = acoustics.receive_pattern(sonar), acoustics.transmit_pattern(sonar)
-    beams = BeamShape(
-        acoustics.receive_support_rad(sonar),
-        is_box=pattern is None,
-        are_cones=acoustics.has_cones(sonar),
-        transmit_width_rad=math.inf if transmit is None else math.radians(sonar.transmit_width_deg),
+    return _Design(
+        acoustics.true_range_sonar(sonar),
+        beam_shape(sonar, acoustics, side_lobes),
+        acoustics.receive_pattern(sonar),
+        acoustics.transmit_pattern(sonar),
+        acoustics.two_way_elevation_pattern(sonar),
+        acoustics.far_pattern(sonar),
+        acoustics.null_rad(sonar),
     )
-    if side_lobes:
-        beams = beams._replace(
-            dense_elevation_deg=acoustics.dense_elevation_deg(sonar),
-            max_elevation_deg=acoustics.max_elevation_deg(sonar),
-        )
-    patterns = pattern, transmit, acoustics.two_way_elevation_pattern(sonar), acoustics.far_pattern(sonar)
-    return _Design(acoustics.true_range_sonar(sonar), beams, *patterns, acoustics.null_rad(sonar))
 
 
 class Beamformer:
@@ -266,7 +246,8 @@ class Beamformer:
         )
         self._weights, self._tiles = weights, tuple(weights.tiles)
         self._tile_halves = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
-        self._spread = fan.sampling.reducer == "footprint"
+        # bins, spread and elevation_pattern of `kernels.column_sums.sum_footprints`
+        self._spreading = self._bins, fan.sampling.reducer == "footprint", self.elevation_table
         self._far = far_lobes
         # with far side lobes, beams receive all columns
         received = np.ones(fan.n_columns, bool) if far_lobes else weights.received
@@ -277,14 +258,13 @@ class Beamformer:
             for half in (0, 1)
         )
         self._wide_parts = _parts_of_wide_columns(edges, n_columns)
-        self._has_gaps = is_box and not received.all()
         if n_wide:
             received = np.append(received, np.logical_or.reduceat(received, edges[:-1]))
-        of_fan = _joined_strips([_as_table(sector.strips) for sector in fan.sectors])
-        self._all_strips = tuple(_within(*of_fan, half, received) for half in self._column_halves)
+        self._received = received
+        first, table = _strips_of(fan)
+        self._all_strips = tuple(_within(first, table, half, received) for half in self._column_halves)
         self.strips = tuple(_of_sectors(*strips) for strips in self._all_strips)
         self._wide_shares = fan.wide_shares
-        self._last_rows = None, 0.0
         self._strips_per_column = np.array([len(one.strips.middle) / one.columns for one in fan.sectors])
 
     @cached_property
@@ -292,14 +272,9 @@ class Beamformer:
         """The strips as `strips` has them, numbered by the columns of the mirrored fan: port and starboard swapped."""
         n_columns, n_wide = self.fan.n_columns, self.fan.n_wide_columns
         mirrored = np.append(np.arange(n_columns)[::-1], n_columns + np.arange(n_wide)[::-1])
-        of_sectors = []
-        for halves in zip(*self.strips, strict=True):
-            column, *rest = (
-                np.concatenate(arrays) for arrays in zip(*(half[:-1] for half in halves), strict=True)
-            )
-            of_sectors.append((mirrored[column], *rest, self.fan.are_cones))
-        of_fan = _joined_strips(of_sectors)
-        return tuple(_of_sectors(*_within(*of_fan, half)) for half in self._column_halves)
+        first, (column, *rest) = _strips_of(self.fan)
+        table, received = (mirrored[column], *rest), self._received[mirrored]
+        return tuple(_of_sectors(*_within(first, table, half, received)) for half in self._column_halves)
 
     @cached_property
     def received_u(self) -> tuple[np.ndarray, ...]:
@@ -307,12 +282,9 @@ class Beamformer:
 
         Empty if beams take all samples. Boxes that are narrower than their spacing leave gaps.
         """
-        if not self._has_gaps:
+        if not self.is_box or self._received.all():
             return (np.empty(0),) * len(self.fan.sectors)
-        strips = zip(self.fan.sectors, *self.strips, strict=True)
-        return tuple(
-            _union_of_strips(sector, [StripTable(*half) for half in halves]) for sector, *halves in strips
-        )
+        return tuple(_union_of_strips(sector, self._received) for sector in self.fan.sectors)
 
     @cached_property
     def received_parts(self) -> ReceivedParts:
@@ -337,8 +309,10 @@ class Beamformer:
     @cached_property
     def _labeller(self) -> Labeller:
         response = self._weights.column_response if self._far is None else self._far.column_response
-        tables = self._tile_halves, self._bins, self.elevation_table
-        return Labeller(self.fan, self._weights, self.is_box, *tables, self._workspace, response)
+        columns = label_columns(self.fan, self._weights, self.is_box, response)
+        return Labeller(
+            columns, self._spreading, self._tile_halves, len(self._weights.first), self._workspace
+        )
 
     @property
     def n_bytes(self) -> int:
@@ -371,10 +345,7 @@ class Beamformer:
 
     def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
-        images = (
-            self._images_of(view.sectors, view.body_spans) if view.table is None else [self._image_of(view)]
-        )
-        return self._with_bubbles(self.weigh(self._sum_images(images), gain), view, gain)
+        return self._with_bubbles(self.weigh(self._sum_surfaces(view), gain), view, gain)
 
     def _with_bubbles(self, surfaces: BeamEcho, view: ViewSamples, gain) -> BeamEcho:
         return surfaces if view.bubbles is None else surfaces.with_more(self.sum_points(view.bubbles, gain))
@@ -383,27 +354,11 @@ class Beamformer:
         self, samples: Sequence[SectorSamples], gain=NO_GAIN, body_spans: np.ndarray = NO_SPANS
     ) -> BeamEcho:
         """Return the echo of surfaces, times the (K,) float32 gain; body_spans : of `ViewSamples`."""
-        return self.weigh(self._sum_images(self._images_of(samples, body_spans)), gain)
+        return self.sum_view(ViewSamples(tuple(samples), body_spans=body_spans), gain)
 
-    def _image_of(self, view: ViewSamples) -> _ImageOfSectors:
-        """Return the image of a view, which holds all sectors side by side."""
-        spans = view.body_spans if view.body_id.size else NO_SPANS
-        n = len(self.fan.sectors)
-        return _ImageOfSectors((view.plane_echo, view.face_id, view.body_id, spans, view.table), slice(n + 1))
-
-    def _images_of(self, samples: Sequence[SectorSamples], body_spans: np.ndarray) -> list[_ImageOfSectors]:
-        """Return the samples of each sector as an image of its own."""
-        out = []
-        for number, (_, one) in enumerate(zip(self.fan.sectors, samples, strict=True)):
-            arrays = (whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id))
-            spans = body_spans if one.body_id.size else NO_SPANS
-            table = tuple(sector_table([one.sector], [0]))
-            out.append(_ImageOfSectors((*arrays, spans, table), slice(number, number + 2)))
-        return out
-
-    def _sum_images(self, images: Sequence[_ImageOfSectors]) -> ColumnSums:
-        """Return the sums of surfaces in columns."""
-        columns = self._column_sums()
+    def _sum_surfaces(self, view: ViewSamples) -> ColumnSums:
+        """Return the sums of a view's surfaces in columns."""
+        columns, images = self._column_sums(), self._images_of(view)
 
         def work(half):
             self.clear_columns(half, columns)
@@ -414,26 +369,36 @@ class Beamformer:
                     *arrays,
                     first_strip[sectors],
                     strips,
-                    self._bins,
-                    self._spread,
-                    self.elevation_table,
+                    *self._spreading,
                     columns.all_sums,
                     columns.all_spans,
                 )
             self._share_wide_columns(self._wide_parts[half], columns)
 
-        self._run(work, sum(self._strip_rows(table, sectors) for (*_, table), sectors in images) < FEW_ROWS)
+        self._run(work, self._strip_rows(images) < FEW_ROWS)
         self._share_wide_columns(self._wide_parts[2], columns)
         return columns
 
-    def _strip_rows(self, table: tuple, sectors: slice) -> float:
-        """Return about how many rows of strips some sectors have; kept, since the samples of pings often lie alike."""
-        last = self._last_rows
-        if last[0] is not table:
-            places = table[0]
-            n_rows = self._strips_per_column[sectors][: len(places)] @ (places[:, 1] * places[:, 2])
-            last = self._last_rows = table, float(n_rows)
-        return last[1]
+    def _images_of(self, view: ViewSamples) -> list[_ImageOfSectors]:
+        """Return the image of a view, which holds all sectors side by side; that of each sector if a host drew them."""
+        if view.table is not None:
+            spans = view.body_spans if view.body_id.size else NO_SPANS
+            arrays = view.plane_echo, view.face_id, view.body_id, spans, view.table
+            return [_ImageOfSectors(arrays, slice(len(self.fan.sectors) + 1))]
+        out = []
+        for number, (_, one) in enumerate(zip(self.fan.sectors, view.sectors, strict=True)):
+            arrays = (whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id))
+            spans = view.body_spans if one.body_id.size else NO_SPANS
+            table = tuple(sector_table([one.sector], [0]))
+            out.append(_ImageOfSectors((*arrays, spans, table), slice(number, number + 2)))
+        return out
+
+    def _strip_rows(self, images: Sequence[_ImageOfSectors]) -> float:
+        """Return about how many rows of strips some images have."""
+        n_rows = 0.0
+        for (*_, (places, *_)), sectors in images:
+            n_rows += self._strips_per_column[sectors][: len(places)] @ (places[:, 1] * places[:, 2])
+        return n_rows
 
     def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
         """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
@@ -504,7 +469,7 @@ class Beamformer:
         view : ViewSamples, whose samples must hold the numbers of bodies
         """
         columns = self._column_sums()
-        is_little = self._strip_rows_of(view.sectors) < FEW_LABEL_ROWS
+        is_little = self._strip_rows(self._images_of(view)) < FEW_LABEL_ROWS
         run, clear = partial(self._run, serial=is_little), partial(self.clear_columns, columns=columns)
         runs = self._labeller.sum_up(view, self.strips, run, columns, clear)
         self.share_wide_columns(columns)
@@ -528,35 +493,25 @@ class Beamformer:
         mask, unshadowed = None, None
         if background is not None:
             mask, view = background
-            columns = self._sum_images(self._images_of(view.sectors, view.body_spans))
+            columns = self._sum_surfaces(view)
             # without far side lobes, which labels leave out
-            unshadowed, _ = self._weigh_support(columns, self._tiles, NO_GAIN)
+            unshadowed, _ = self._weigh_support(columns, NO_GAIN)
         run = partial(self._run, serial=bodies.is_little)
-        sums = bodies.body_bins, bodies.direct
-        return self._labeller.find(bodies.runs, run, gain, n_bodies, *sums, mask, unshadowed)
+        return self._labeller.find(bodies, run, gain, n_bodies, mask, unshadowed)
 
     def _run(self, work, serial: bool = False) -> None:
         """Call work(0) and work(1), one for each half: in two threads, or one after the other if `serial`."""
-        if serial or self._thread is None:
-            work(0)
-            work(1)
-        else:
-            self._thread.run_halves(work)
-
-    def _strip_rows_of(self, samples: Sequence[SectorSamples]) -> float:
-        """Return about how many rows of strips the samples of all sectors have."""
-        n_samples = [one.plane_echo.shape[0] * one.plane_echo.shape[1] for one in samples]
-        return float(self._strips_per_column @ n_samples)
+        run_halves(None if serial else self._thread, work)
 
     def weigh(self, columns: ColumnSums, gain) -> BeamEcho:
         """Return beams as weighted sums of the columns."""
         if self._far is None:
-            return BeamEcho(*self._weigh_support(columns, self._tiles, gain))
+            return BeamEcho(*self._weigh_support(columns, gain))
         return self._weigh_all(columns, self._far, gain)
 
-    def _weigh_support(self, columns: ColumnSums, tiles: tuple, gain) -> tuple[np.ndarray, float]:
+    def _weigh_support(self, columns: ColumnSums, gain) -> tuple[np.ndarray, float]:
         """Return (B, K) beams as weighted sums of the columns in the support of their patterns, and their sum."""
-        out, totals = self._pool.empty(), [0.0, 0.0]
+        tiles, out, totals = self._tiles, self._pool.empty(), [0.0, 0.0]
 
         def work(half):
             totals[half] = weigh_columns(
@@ -631,54 +586,48 @@ def _tables_of(fan: Fan, elevation_pattern: Callable | None) -> tuple[np.ndarray
     return table, tuple(bin_table(fan.sonar.bin_edges_m, fov_rad))
 
 
-def _as_table(strips: Strips) -> tuple:
-    """Return the strips of a sector as a plain StripTable."""
-    return strips.column, strips.middle, strips.width, strips.v_low, strips.v_high, strips.are_cones
+def _strips_of(fan: Fan) -> tuple[np.ndarray, tuple]:
+    """Return where the strips of each sector begin, and past the last, and the plain StripTable of all sectors."""
+    strips = [sector.strips for sector in fan.sectors]
+    first = np.cumsum([0, *(len(one.column) for one in strips)], dtype=np.int64)
+    *arrays, _ = StripTable._fields
+    columns = (np.concatenate([getattr(one, name) for one in strips]) for name in arrays)
+    return first, (*columns, fan.are_cones)
 
 
 def _within(
-    first: np.ndarray, table: tuple, half: Sequence[tuple[int, int]], received=None
+    first: np.ndarray, table: tuple, half: Sequence[tuple[int, int]], received: np.ndarray
 ) -> tuple[np.ndarray, tuple]:
-    """Return the strips of `_joined_strips` that lie in some columns, each from the first to before the last.
+    """Return the strips of `_strips_of` that lie in some columns, each from the first to before the last.
 
-    received : bool of each column, whether a beam receives it; None for all
+    received : bool of each column, whether a beam receives it
     """
     column, *_, are_cones = table
-    mine = np.logical_or.reduce([(low <= column) & (column < high) for low, high in half])
-    if received is not None:
-        mine &= received[column]
+    mine = received[column] & np.logical_or.reduce([(low <= column) & (column < high) for low, high in half])
     before = np.append(0, np.cumsum(mine))
     return before[first], (*(one[mine] for one in table[:-1]), are_cones)
 
 
 def _of_sectors(first: np.ndarray, table: tuple) -> list[tuple]:
-    """Return a plain StripTable of each sector from `_joined_strips`."""
+    """Return a plain StripTable of each sector from `_strips_of`."""
     *arrays, are_cones = table
     return [(*(one[begin:end] for one in arrays), are_cones) for begin, end in pairwise(first.tolist())]
 
 
-def _joined_strips(strips: Sequence[tuple]) -> tuple[np.ndarray, tuple]:
-    """Return the strips of several sectors as one plain StripTable, after where those of each begin, and past the last.
-
-    Parameters
-    ----------
-    strips : plain StripTable of each sector
-    """
-    first = np.cumsum([0, *(len(arrays[0]) for arrays in strips)], dtype=np.int64)
-    columns = (np.concatenate(one) for one in zip(*(arrays[:-1] for arrays in strips), strict=True))
-    return first, (*columns, strips[0][-1])
-
-
-def _union_of_strips(sector: Sector, tables: Sequence[StripTable]) -> np.ndarray:
+def _union_of_strips(sector: Sector, received: np.ndarray) -> np.ndarray:
     """Return (2n,) u between which the samples lie that upright strips take.
 
     A strip narrower than a sample takes the nearest one.
+
+    received : bool of each column, whether a beam receives it
     """
-    middles = np.concatenate([table.middle for table in tables])
-    if not len(middles):
+    strips = sector.strips
+    is_received = received[strips.column]
+    if not is_received.any():
         return np.full(2, np.inf)
+    middles, widths = strips.middle[is_received], strips.width[is_received]
     order = np.argsort(middles)
-    half_width = np.maximum(np.concatenate([table.width for table in tables]), sector.u[1])[order] / 2
+    half_width = np.maximum(widths, sector.u[1])[order] / 2
     low, high = middles[order] - half_width, np.maximum.accumulate(middles[order] + half_width)
     begins = np.append(True, low[1:] > high[:-1] + 1e-3 * sector.u[1])
     return np.column_stack([low[begins], high[np.append(begins[1:], True)]]).ravel()

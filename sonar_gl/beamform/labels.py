@@ -52,6 +52,24 @@ class Labels:
     shadow: np.ndarray | None
 
 
+class BodySums(NamedTuple):
+    """The echo of each body in columns and bins; valid until bodies are summed again in the same workspace.
+
+    Attributes
+    ----------
+    runs : plain tuple of Runs
+    body_bins : of `bins_of_bodies`
+    direct : (B, K) float32, all direct echo with the gain, in an array that is overwritten later; empty if the runs
+        hold all of it, which is so without far side lobes and bubbles
+    is_little : whether there is so little work that one thread does it
+    """
+
+    runs: tuple
+    body_bins: np.ndarray
+    direct: np.ndarray
+    is_little: bool
+
+
 def bins_of_bodies(body_spans: np.ndarray, bin_edges_m: np.ndarray) -> np.ndarray:
     """Return (numbers, 2) int64, the first bin in which each body may have labels, and past the last.
 
@@ -176,11 +194,15 @@ class LabelColumns(NamedTuple):
     response: np.ndarray
 
 
-def label_columns(fan: Fan, weights: BeamWeights, widest_rad: float, response: np.ndarray) -> LabelColumns:
-    """Join columns where the result is no wider than `widest_rad` and all beams together receive them alike.
+def label_columns(fan: Fan, weights: BeamWeights, is_box: bool, response: np.ndarray) -> LabelColumns:
+    """Join columns where COLUMNS_PER_BEAM remain and all beams together receive them alike.
 
-    response : of `Labeller`
+    Parameters
+    ----------
+    is_box : beams are boxes, whose ends would lie within joined columns
+    response : (columns,) `column_response` of the far lobes, or of the weights where there are none
     """
+    widest_rad = 0.0 if is_box else weights.width_rad.min() / COLUMNS_PER_BEAM
     widths_rad, n = np.diff(fan.column_edges_rad), fan.n_columns
     limits = fan.wide_edges if fan.n_wide_columns else np.array([0, n])
     begins = []
@@ -220,33 +242,17 @@ class Labeller:
 
     Parameters
     ----------
-    fan, weights : Fan and BeamWeights
-    is_box : beams are boxes, whose ends would lie within joined columns
+    columns : LabelColumns
+    spreading : bins, spread and elevation_pattern of `sum_bodies`
     parts : which of the tiles of beams each half does
-    bins : tuple of BinTable
-    elevation_pattern : of sum_footprints
+    n_beams : number of beams
     workspace : Workspace
-    response : (columns,) `column_response` of the far lobes, or of the weights where there are none
     """
 
-    def __init__(
-        self,
-        fan: Fan,
-        weights: BeamWeights,
-        is_box: bool,
-        parts,
-        bins,
-        elevation_pattern,
-        workspace: Workspace,
-        response: np.ndarray,
-    ):
-        widest_rad = 0.0 if is_box else weights.width_rad.min() / COLUMNS_PER_BEAM
-        self._fan, self._bins = fan, bins
-        self._columns = label_columns(fan, weights, widest_rad, response)
-        self._elevation_pattern = elevation_pattern
-        self._middle_m = BinTable(*bins).middle_m.astype(np.float32)
-        self._parts, self._workspace, pools = parts, workspace, workspace.pools
-        shape = len(weights.first), len(self._middle_m)
+    def __init__(self, columns: LabelColumns, spreading: tuple, parts, n_beams: int, workspace: Workspace):
+        self._columns, self._spreading, self._parts, self._workspace = columns, spreading, parts, workspace
+        self._middle_m = BinTable(*spreading[0]).middle_m.astype(np.float32)
+        shape, pools = (n_beams, len(self._middle_m)), workspace.pools
         self._floats, self._numbers = pools.pool(shape), pools.pool(shape, np.uint16)
         self._means = pools.pool((3, *shape))
 
@@ -269,8 +275,6 @@ class Labeller:
         clear : function (half) that sets the sums of its columns to zero
         """
         room = self._workspace.label_sums(len(self._middle_m))
-        is_spread = self._fan.sampling.reducer == "footprint"
-        settings = self._bins, is_spread, self._elevation_pattern, self._columns.of_columns
         # strips go along columns: read by rows, each number would come from another line of memory
         of_sectors = [
             (
@@ -288,7 +292,8 @@ class Labeller:
                 self._workspace.works[half],
                 *arrays,
                 mine,
-                *settings,
+                *self._spreading,
+                self._columns.of_columns,
                 room.cells[half],
                 tuple(room.stores[half]),
                 columns.all_sums,
@@ -310,12 +315,10 @@ class Labeller:
 
     def find(
         self,
-        runs: tuple,
+        bodies: BodySums,
         run: Callable,
         gain: np.ndarray,
         n_bodies: int,
-        body_bins: np.ndarray,
-        direct: np.ndarray,
         is_background: np.ndarray | None = None,
         unshadowed: np.ndarray | None = None,
     ) -> Labels:
@@ -323,11 +326,10 @@ class Labeller:
 
         Parameters
         ----------
-        runs, run : returned by `sum_up`, and as there
+        bodies : BodySums, whose runs `sum_up` returned
+        run : as there
         gain : (K,) float32
         n_bodies : the highest number of a body
-        body_bins : of `bins_of_bodies`
-        direct : (B, K) float32, all direct echo with the gain; of no length where it is the runs' alone
         is_background : (n_bodies + 1,) bool by number, or None for no shadow
         unshadowed : (B, K) echo of the background alone, without the gain
         """
@@ -341,16 +343,16 @@ class Labeller:
         body_echo = np.zeros((2, n_bodies + 1))
 
         def pick(half):
-            sum_body_echo(runs, self._columns.response, gain, half, body_echo[half])
+            sum_body_echo(bodies.runs, self._columns.response, gain, half, body_echo[half])
             find_strongest(
-                runs,
+                bodies.runs,
                 tuple(self._columns.tiles),
                 self._parts[half],
                 self._columns.count,
                 self._middle_m,
                 mask,
-                body_bins,
-                direct,
+                bodies.body_bins,
+                bodies.direct,
                 gain,
                 tuple(strongest),
             )

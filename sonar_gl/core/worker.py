@@ -138,7 +138,7 @@ class JobThreads:
 
     def __init__(self, name: str, count: int = 1):
         self._name, self._count, self._queue, self._is_started = name, count, SimpleQueue(), False
-        self._starting = Lock()
+        self._starting = Lock()  # held while the threads start: several callers may have a first job
 
     def submit(self, job: Job) -> None:
         """Hand a job over. If that is interrupted, `Job.settle` still has the job done, once."""
@@ -166,7 +166,8 @@ class SecondThread:
     """
 
     def __init__(self):
-        self._thread, self._is_closed, self._abandoned = JobThreads("sonar_gl second half"), False, []
+        self._thread, self._is_closed = JobThreads("sonar_gl second half"), False
+        self._abandoned: list[Job] = []  # halves of interrupted callers, which the thread may still run
 
     def run_halves(self, work: Callable[[int], object]) -> tuple:
         """Return (work(0), work(1)); the thread runs the second, or the caller does if the thread is busy.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.beamform.beamformer import fitted_to_columns, make_beamformer
+from sonar_gl.beamform.beamformer import beam_shape, make_beamformer
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, closed_error, copied_error, other_process_error
@@ -50,7 +50,7 @@ from sonar_gl.gl.shaders import load_shader
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY
-from sonar_gl.sonar.fan import NEAR_M
+from sonar_gl.sonar.fan import NEAR_M, fitted_sampling
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 from sonar_gl.sonar.sampling import Sampling, check_tolerance, sampling_at, typical_level
 from sonar_gl.sonar.sonar import Sonar
@@ -285,7 +285,7 @@ class Sensor:
     def _usual_sampling(self) -> Sampling:
         """Return the samples that most pings need for the tolerance."""
         asked = sampling_at(self.sonar, typical_level(self.tolerance))
-        return fitted_to_columns(self.sonar, self.acoustics, asked)
+        return fitted_sampling(self.sonar, asked, beam_shape(self.sonar, self.acoustics))
 
     def _stage(self, sampling: Sampling) -> Stage:
         """Return the sonar's stage of this sampling."""

@@ -25,10 +25,12 @@ from sonar_gl.engine.stage import StageCache
 from sonar_gl.sonar.sampling import LEVELS_PER_HALF, WORST_BODY, ToleranceWarning
 
 CHECK_CHANGE = 0.2  # of the whole echo
-# A ping may cost so many times the median of so many before it, and the first one with finer samples, which takes new
-# memory, so many times. Beside its samples a ping takes the time of so many more, and of one for each bin of each beam;
-# with a check it takes so many times as long. By the pings of `tools/bench live`.
-MOST_COST, MOST_FINER_COST, RECENT, FIXED_SAMPLES, CHECK_COST = 2.3, 1.65, 100, 45_000, 2.1
+# A ping takes the time of its samples, of one for each bin of each beam, and of FIXED_SAMPLES; with a check of its
+# error CHECK_COST times as long. By the pings of `tools/bench live`.
+FIXED_SAMPLES, CHECK_COST = 45_000, 2.1
+# No ping may cost more than MOST_COST times the median of the RECENT ones up to it, and the first one with finer
+# samples, which takes new memory, no more than MOST_FINER_COST times.
+MOST_COST, MOST_FINER_COST, RECENT = 2.3, 1.65, 100
 
 
 class LastCheck(NamedTuple):
@@ -150,7 +152,7 @@ class AdaptiveSampling:
         if resolution.is_final or not (resolution.check or self.has_changed(total)):
             return None
         is_first_echo = choice.last_check.total <= 0 < total
-        if not (resolution.check or is_first_echo or self._can_check(self.history)):
+        if not (resolution.check or is_first_echo or self._can_check(choice.level, self.history.costs)):
             self.choice = choice if choice.is_due else replace(choice, is_due=True)
             return None
         tried = self._model.tried(resolution.stage, drawn.view, received.direct)
@@ -158,7 +160,8 @@ class AdaptiveSampling:
         is_kept = self._is_kept(choice, judged)
         if is_first_echo and not is_kept:
             return self._search(setup, choice.level)
-        checked = replace(choice, plan=judged.plan, last_check=self._check_of(setup, total), is_due=False)
+        check = LastCheck(setup, total, self.history.n_pings)
+        checked = replace(choice, plan=judged.plan, last_check=check, is_due=False)
         if is_kept:
             self.choice = checked
             self._warn_if_unmet(checked.plan)
@@ -179,7 +182,7 @@ class AdaptiveSampling:
         sources may still be in need.
         """
         found = self.search.find_coarsest(setup, first)
-        check = self._check_of(setup, found.total)
+        check = LastCheck(setup, found.total, self.history.n_pings)
         self._warn_if_unmet(found.plan)
         self.choice = Choice(found.plan.level, found.finest, found.plan, check)
         return replace(self.resolution, is_final=True)
@@ -193,31 +196,24 @@ class AdaptiveSampling:
         wanted, most = max(0, min(level, choice.finest)), MOST_FINER_COST * median(self.history.costs)
         finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
         # coarser where none is finer: the next finer level costs less than the check that asked for it
-        level, finest = (finer or [wanted])[-1], choice.finest
-        if level < choice.level:
-            finest = self.search.finest
-        following = self.history._replace(costs=self._costs_with(level))
-        if self._cost(level, check=True) <= self._most_cost(following):
+        level = (finer or [wanted])[-1]
+        finest = self.search.finest if level < choice.level else choice.finest
+        if self._can_check(level, self._costs_with(level)):
             # made by this ping, since the next one is checked, and may have to make the coarser stage
             self._model.stage_at(level)
         return replace(choice, level=level, finest=finest, is_due=True)
 
-    def _cost(self, level: int, check: bool = False) -> float:
-        """Return about what a ping costs, with a check of its error or without, in samples of the whole fan."""
+    def _cost(self, level: int) -> float:
+        """Return about what a ping costs without a check of its error, in samples of the whole fan."""
         stage = self.resolution.stage
         per_count = stage.fan.n_samples / stage.sampling.count(self._sonar)
         # each ping asks for that of its own level, which the stage has at hand
         sampling = stage.sampling if level == self.choice.level else self._model.sampling_at(level)
-        cost = per_count * sampling.count(self._sonar) + self._fixed_cost
-        return CHECK_COST * cost if check else cost
+        return per_count * sampling.count(self._sonar) + self._fixed_cost
 
-    def _most_cost(self, history: PingHistory) -> float:
-        """Return the most that the last ping of a history may cost; it is one of those that say so itself."""
-        return MOST_COST * median(history.costs)
-
-    def _can_check(self, history: PingHistory) -> bool:
-        """Return whether the last ping of a history, with a check, costs no more than a ping may."""
-        return self._cost(self.choice.level, check=True) <= self._most_cost(history)
+    def _can_check(self, level: int, costs: Sequence[float]) -> bool:
+        """Return whether a ping of a level, whose cost is the last of these, may cost a check of its error, too."""
+        return CHECK_COST * self._cost(level) <= MOST_COST * median(costs)
 
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
@@ -272,7 +268,7 @@ class AdaptiveSampling:
             return True
         n_pings = history.n_pings - checked.n_pings
         is_due = choice.is_due or self._trigger.is_due(checked.setup, history.last, n_pings)
-        return is_due and self._can_check(history)
+        return is_due and self._can_check(choice.level, history.costs)
 
     def is_apart(self, setup: PingSetup) -> bool:
         """Return whether a ping asks to be sampled by itself, or lies far from the last one."""
@@ -303,10 +299,6 @@ class AdaptiveSampling:
             history = PingHistory(n_pings, setup, costs)
         # in one step: a ping near the one before this, after an interrupt between, would follow this choice
         self.choice, self.history = choice, history
-
-    def _check_of(self, setup: PingSetup, total: float) -> LastCheck:
-        """Return the LastCheck of a ping that ends the history."""
-        return LastCheck(setup, total, self.history.n_pings)
 
     def _warn_if_unmet(self, plan: Plan) -> None:
         """Warn of a tolerance that cannot be kept, once until it can.

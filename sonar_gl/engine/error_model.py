@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.beamform.beamformer import BeamEcho, BodySums
+from sonar_gl.beamform.beamformer import BeamEcho
+from sonar_gl.beamform.labels import BodySums
 from sonar_gl.engine.body_counts import (
     BODY_ERROR_RATE,
     MIN_BODY_SAMPLES,

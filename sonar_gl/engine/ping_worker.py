@@ -30,8 +30,9 @@ class PingWorker:
         self._images = None
         if acoustics.multipath != "none":
             self._images = ImageSources(self._stages, None, world.scene, run.tolerance)
-        self._search, self._tolerance, self._gain = None, run.tolerance, run.instrument.gain
-        self._making = Lock()
+        self._search = None  # LevelSearch, once a ping chooses its samples
+        self._tolerance, self._gain = run.tolerance, run.instrument.gain
+        self._making = Lock()  # held by the one job that runs
 
     def job(self, setup: PingSetup, resolution: Resolution, scene: Scene) -> Job:
         """Return a job that makes one ping.

@@ -15,8 +15,8 @@ import numpy as np
 
 from sonar_gl.acoustics.cross_talk import leak_between_beams
 from sonar_gl.acoustics.pulse import matched_filter
-from sonar_gl.beamform.beamformer import BeamEcho, BodySums, ShadowedBackground
-from sonar_gl.beamform.labels import Labels, of_all_echo, without_faint, without_weaker
+from sonar_gl.beamform.beamformer import BeamEcho, ShadowedBackground
+from sonar_gl.beamform.labels import BodySums, Labels, of_all_echo, without_faint, without_weaker
 from sonar_gl.beamform.surface_reverberation import sum_surface
 from sonar_gl.beamform.volume import sum_volume
 from sonar_gl.beamform.water_surface import water_surface

@@ -63,23 +63,6 @@ class _Started(NamedTuple):
     choice: object
 
 
-class _Complete(NamedTuple):
-    """A ping made ahead that comes out as it is."""
-
-    received: ReceivedPing
-    report: PingReport
-
-
-class _WithoutEcho(NamedTuple):
-    """A ping made ahead that keeps its samples, but is drawn again, for the report of why it has no echo."""
-
-    setup: PingSetup
-
-
-class _ToMakeAgain(NamedTuple):
-    """A ping made ahead whose samples were not those that it has to have, or more than fit."""
-
-
 class _Upcoming:
     """Pings to come. The sampler's history has those that were taken, unless they are put back.
 
@@ -123,9 +106,7 @@ class _Upcoming:
         """
         sampler, batch = self._run.sampler, []
         if most > 1:
-            sectors = sampler.resolution.stage.fan.sectors
-            n_samples = sum(sector.columns * sector.rows for sector in sectors)
-            most = max(1, min(most, BATCH_SAMPLES // n_samples))
+            most = max(1, min(most, BATCH_SAMPLES // sampler.resolution.stage.fan.n_samples))
         while len(batch) < most:
             if not self._setups:
                 return _Batch(batch, must_wait=True)
@@ -336,47 +317,44 @@ def _undelivered(in_flight: deque[_Started]) -> list[_TakenPing]:
 def _finish_first(run: Run, upcoming: _Upcoming, in_flight: deque[_Started]) -> Iterator[Ping]:
     """Yield the pings that were started first; one that has to be made again is, and those after it are put back."""
     first = in_flight[0]
-    for outcome in _outcomes_of(run, upcoming, first):
-        if isinstance(outcome, _ToMakeAgain):
+    try:
+        answers = first.job.result()
+    except SampleLimitError:  # of the first of them that has not come out: it is to get fewer samples
+        answers = [None]
+    for received in answers:
+        reviewed = None if received is None else _review(run, upcoming, first, received)
+        if reviewed is None:
             upcoming.put_back(_undelivered(in_flight))
             in_flight.clear()
             yield _make_here(run, upcoming)
             return
-        if isinstance(outcome, _WithoutEcho):
-            ping = _make_without_echo(run, outcome.setup)
-        else:
-            ping = finish(run, outcome.received, outcome.report)
+        ping = finish(run, *reviewed)
         first.pings.pop(0)
         yield ping
     in_flight.popleft()
 
 
-def _outcomes_of(
-    run: Run, upcoming: _Upcoming, started: _Started
-) -> Iterator[_Complete | _WithoutEcho | _ToMakeAgain]:
-    """Yield what became of pings that were started together, each once those before it have come out."""
-    try:
-        answers = started.job.result()
-    except SampleLimitError:  # of the first of them that has not come out: it is to get fewer samples
-        yield _ToMakeAgain()
-        return
-    for received in answers:
-        yield _outcome_of(run, upcoming, started, received)
-
-
-def _outcome_of(
+def _review(
     run: Run, upcoming: _Upcoming, started: _Started, received: ReceivedPing
-) -> _Complete | _WithoutEcho | _ToMakeAgain:
-    """Review the first ping of those started together that has not come out."""
+) -> tuple[ReceivedPing, PingReport] | None:
+    """Review the first ping of those started together that has not come out; return it with its report.
+
+    Return None if its samples were not those that it has to have.
+    """
     upcoming.review_size(received)
     with run.world.unchanged():
         if run.review_ahead(received, started.choice):
-            return _ToMakeAgain()
+            return None
         if received.drawn.resolution.plan is not None:
             upcoming.follow(started.pings[0], received)
-        if received.total <= 0:
-            return _WithoutEcho(received.drawn.setup)
-        return _Complete(received, run.report(received))
+        if received.total > 0:
+            return received, run.report(received)
+    # drawn again, since the samples that tell why it has no echo may have been overwritten
+    with run.drawing():
+        setup = run.with_later_bodies(received.drawn.setup)
+        (drawn,) = draw(run.image_sources, [setup], run.resolution_ahead)
+        received = receive(drawn)
+        return received, run.report(received)
 
 
 def _make_here(run: Run, upcoming: _Upcoming) -> Ping:
@@ -385,13 +363,4 @@ def _make_here(run: Run, upcoming: _Upcoming) -> Ping:
     with run.drawing():
         received, report = sample(run, setup)
     upcoming.review_size(received)
-    return finish(run, received, report)
-
-
-def _make_without_echo(run: Run, setup: PingSetup) -> Ping:
-    """Return a ping without an echo, drawn again, since the samples that tell why may have been overwritten."""
-    with run.drawing():
-        (drawn,) = draw(run.image_sources, [run.with_later_bodies(setup)], run.resolution_ahead)
-        received = receive(drawn)
-        report = run.report(received)
     return finish(run, received, report)

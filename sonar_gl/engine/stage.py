@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.beamform.beamformer import Beamformer, fitted_to_columns, make_beamformer
+from sonar_gl.beamform.beamformer import Beamformer, beam_shape, make_beamformer
 from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
 from sonar_gl.beamform.kernels.views import view_index
 from sonar_gl.beamform.workspace import Workspace
@@ -16,7 +17,7 @@ from sonar_gl.core.memory import return_free_memory
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.engine import RasterEngine, Renderer
 from sonar_gl.raster.views import MAX_SAMPLES, RenderWorkspace
-from sonar_gl.sonar.fan import USUAL_WIDTHS, ColumnWidths, Fan
+from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, fitted_sampling
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sector import SHEAR
@@ -111,6 +112,10 @@ class StageCache:
         """The pools of arrays that pings return."""
         return self._workspace.pools
 
+    @cached_property
+    def _beams(self) -> BeamShape:
+        return beam_shape(self.sonar, self.acoustics)
+
     def stage(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
         """Return the stage of a sampling and a shear of the lattice; inside `drawing`.
 
@@ -131,7 +136,7 @@ class StageCache:
 
     def fitted(self, sampling: Sampling, shear: float = SHEAR) -> Sampling:
         """Return about as many samples, as wide as whole columns; see `fitted_sampling`."""
-        return fitted_to_columns(self.sonar, self.acoustics, sampling, shear, self._widths, self._workspace)
+        return fitted_sampling(self.sonar, sampling, self._beams, shear, self._widths)
 
     def settle(self, n_samples: int) -> None:
         """Note how many samples a view has; give back the memory of larger ones if many in a row have far fewer.

@@ -180,21 +180,22 @@ def tapered(azimuth_rad, steer_rad):
 
 
 @pytest.mark.parametrize("fov_deg", [90.0, 360.0])
-@pytest.mark.parametrize("widest_rad", [0.0, 0.04])
-def test_joined_columns_return_an_even_echo_alike(fov_deg, widest_rad):
+@pytest.mark.parametrize("is_box", [True, False])
+def test_joined_columns_return_an_even_echo_alike(fov_deg, is_box):
     """Beams receive as much of an even echo, also over the seam of a fan of 360 degrees; no column is left out."""
     sonar = sg.Sonar("test", 900e3, 120, 10, fov_deg, 20.0, 3.0, 0.5, 20.0)
     fan = make_fan(sonar, sg.Sampling(4, 16), BeamShape(0.2, is_box=False))
     weights, widths = beam_weights(fan, tapered, 0.2), np.diff(fan.column_edges_rad)
     response = np.linspace(1, 1.1, fan.n_columns)
     response[7:27] *= np.geomspace(1e-2, 1, 20)  # weak and uneven, as beside a fan
-    joined = label_columns(fan, weights, widest_rad, response)
+    joined = label_columns(fan, weights, is_box, response)
     of_columns = joined.of_columns[: fan.n_columns]
     np.testing.assert_array_equal(np.unique(of_columns), np.arange(joined.count))
     assert (np.diff(of_columns) >= 0).all()
-    if widest_rad == 0.0:
+    if is_box:
         assert joined.count == fan.n_columns
     else:
+        widest_rad = weights.width_rad.min() / labels.COLUMNS_PER_BEAM
         assert np.bincount(of_columns, widths).max() <= widest_rad * (1 + 1e-9)
         assert joined.count < fan.n_columns / 2
     assert np.abs(response / joined.response[of_columns] - 1).max() <= labels.UNEVEN
