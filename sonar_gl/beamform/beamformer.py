@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.beam_pattern import FarPattern
 from sonar_gl.beamform.far_lobes import FarLobes, far_lobes, make_lobe_blocks
+from sonar_gl.beamform.halves import by_sector, half_of, parts_of_wide_columns, strips_of, strips_within
 from sonar_gl.beamform.kernels.beams import TILE_BEAMS, add_far_lobes, weigh_columns
 from sonar_gl.beamform.kernels.body_counts import ReceivedParts
 from sonar_gl.beamform.kernels.column_sums import (
@@ -25,9 +25,9 @@ from sonar_gl.beamform.kernels.column_sums import (
 )
 from sonar_gl.beamform.kernels.image_sources import Reflection, sum_image_source
 from sonar_gl.beamform.kernels.range_bins import bin_table
-from sonar_gl.beamform.kernels.strips import StripTable
 from sonar_gl.beamform.kernels.work_table import MAX_STRIP_ROWS
 from sonar_gl.beamform.labels import BodySums, Labeller, Labels, bins_of_bodies, label_columns
+from sonar_gl.beamform.received import received_parts, received_u
 from sonar_gl.beamform.weights import BeamWeights, beam_weights, elevations_of, gauss_nodes
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.errors import SampleLimitError
@@ -35,7 +35,7 @@ from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.sonar.fan import USUAL_WIDTHS, BeamShape, ColumnWidths, Fan, make_fan
 from sonar_gl.sonar.samples import NO_SPANS, SectorSamples, ViewSamples, sector_table, whole_rows
 from sonar_gl.sonar.sampling import Sampling, extend_rows
-from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, NO_UPRIGHTS, SHEAR, Sector
+from sonar_gl.sonar.sector import MAX_AZIMUTH_RAD, SHEAR
 from sonar_gl.sonar.sonar import Sonar
 
 # Work below these bounds is done in one thread, since handing half of it to the second one would take longer. Rows of
@@ -245,7 +245,7 @@ class Beamformer:
             "elevations and bins", lambda: _tables_of(fan, elevation_pattern)
         )
         self._weights, self._tiles = weights, tuple(weights.tiles)
-        self._tile_halves = tuple(_half_of(len(self._tiles[0]), half) for half in (0, 1))
+        self._tile_halves = tuple(half_of(len(self._tiles[0]), half) for half in (0, 1))
         # bins, spread and elevation_pattern of `kernels.column_sums.sum_footprints`
         self._spreading = self._bins, fan.sampling.reducer == "footprint", self.elevation_table
         self._far = far_lobes
@@ -254,16 +254,16 @@ class Beamformer:
         n_columns, n_wide, edges = fan.n_columns, fan.n_wide_columns, fan.wide_edges
         # first and past the last of each half: of its columns, and of its wide columns
         self._column_halves = tuple(
-            (_half_of(n_columns, half), tuple(n_columns + end for end in _half_of(n_wide, half)))
+            (half_of(n_columns, half), tuple(n_columns + end for end in half_of(n_wide, half)))
             for half in (0, 1)
         )
-        self._wide_parts = _parts_of_wide_columns(edges, n_columns)
+        self._wide_parts = parts_of_wide_columns(edges, n_columns)
         if n_wide:
             received = np.append(received, np.logical_or.reduceat(received, edges[:-1]))
         self._received = received
-        first, table = _strips_of(fan)
-        self._all_strips = tuple(_within(first, table, half, received) for half in self._column_halves)
-        self.strips = tuple(_of_sectors(*strips) for strips in self._all_strips)
+        first, table = strips_of(fan)
+        self._all_strips = tuple(strips_within(first, table, half, received) for half in self._column_halves)
+        self.strips = tuple(by_sector(*strips) for strips in self._all_strips)
         self._wide_shares = fan.wide_shares
         self._strips_per_column = np.array([len(one.strips.middle) / one.columns for one in fan.sectors])
 
@@ -272,9 +272,9 @@ class Beamformer:
         """The strips as `strips` has them, numbered by the columns of the mirrored fan: port and starboard swapped."""
         n_columns, n_wide = self.fan.n_columns, self.fan.n_wide_columns
         mirrored = np.append(np.arange(n_columns)[::-1], n_columns + np.arange(n_wide)[::-1])
-        first, (column, *rest) = _strips_of(self.fan)
+        first, (column, *rest) = strips_of(self.fan)
         table, received = (mirrored[column], *rest), self._received[mirrored]
-        return tuple(_of_sectors(*_within(first, table, half, received)) for half in self._column_halves)
+        return tuple(by_sector(*strips_within(first, table, half, received)) for half in self._column_halves)
 
     @cached_property
     def received_u(self) -> tuple[np.ndarray, ...]:
@@ -284,7 +284,7 @@ class Beamformer:
         """
         if not self.is_box or self._received.all():
             return (np.empty(0),) * len(self.fan.sectors)
-        return tuple(_union_of_strips(sector, self._received) for sector in self.fan.sectors)
+        return tuple(received_u(sector, self._received) for sector in self.fan.sectors)
 
     @cached_property
     def received_parts(self) -> ReceivedParts:
@@ -537,7 +537,7 @@ class Beamformer:
 
         def sum_columns(half):
             weigh_columns(columns.sums, columns.spans, near, self._tile_halves[half], gain, out)
-            tiles = _half_of(len(condense[0]), half)
+            tiles = half_of(len(condense[0]), half)
             weigh_columns(columns.sums, columns.spans, condense, tiles, NO_GAIN, of_columns)
 
         def add(half):
@@ -553,28 +553,6 @@ class Beamformer:
         return BeamEcho(out, sum(totals))
 
 
-def _half_of(n: int, half: int) -> tuple[int, int]:
-    """Return first and past the last of n things that are done by a half."""
-    middle = (n + 1) // 2
-    return (middle, n) if half else (0, middle)
-
-
-def _parts_of_wide_columns(wide_edges, n_columns: int) -> tuple[tuple[int, int], ...]:
-    """Return first and past the last wide columns whose columns are in the same half, of each half, and of the others.
-
-    Wide columns are counted on from the columns.
-
-    >>> _parts_of_wide_columns(np.array([0, 2, 4, 7, 9]), 9)
-    ((9, 11), (12, 13), (11, 12))
-    """
-    n_wide, middle = len(wide_edges) - 1, _half_of(n_columns, 0)[1]
-    wide = _half_of(n_wide, 0)[1]
-    first = min(wide, int(np.searchsorted(wide_edges, middle, side="right")) - 1)
-    past = min(max(wide, int(np.searchsorted(wide_edges, middle))), n_wide)
-    parts = (0, first), (past, n_wide), (first, past)
-    return tuple((n_columns + begin, n_columns + end) for begin, end in parts)
-
-
 def _tables_of(fan: Fan, elevation_pattern: Callable | None) -> tuple[np.ndarray, tuple]:
     """Return `Beamformer.elevation_table`, and a plain BinTable."""
     if elevation_pattern is None:
@@ -586,77 +564,8 @@ def _tables_of(fan: Fan, elevation_pattern: Callable | None) -> tuple[np.ndarray
     return table, tuple(bin_table(fan.sonar.bin_edges_m, fov_rad))
 
 
-def _strips_of(fan: Fan) -> tuple[np.ndarray, tuple]:
-    """Return where the strips of each sector begin, and past the last, and the plain StripTable of all sectors."""
-    strips = [sector.strips for sector in fan.sectors]
-    first = np.cumsum([0, *(len(one.column) for one in strips)], dtype=np.int64)
-    *arrays, _ = StripTable._fields
-    columns = (np.concatenate([getattr(one, name) for one in strips]) for name in arrays)
-    return first, (*columns, fan.are_cones)
-
-
-def _within(
-    first: np.ndarray, table: tuple, half: Sequence[tuple[int, int]], received: np.ndarray
-) -> tuple[np.ndarray, tuple]:
-    """Return the strips of `_strips_of` that lie in some columns, each from the first to before the last.
-
-    received : bool of each column, whether a beam receives it
-    """
-    column, *_, are_cones = table
-    mine = received[column] & np.logical_or.reduce([(low <= column) & (column < high) for low, high in half])
-    before = np.append(0, np.cumsum(mine))
-    return before[first], (*(one[mine] for one in table[:-1]), are_cones)
-
-
-def _of_sectors(first: np.ndarray, table: tuple) -> list[tuple]:
-    """Return a plain StripTable of each sector from `_strips_of`."""
-    *arrays, are_cones = table
-    return [(*(one[begin:end] for one in arrays), are_cones) for begin, end in pairwise(first.tolist())]
-
-
-def _union_of_strips(sector: Sector, received: np.ndarray) -> np.ndarray:
-    """Return (2n,) u between which the samples lie that upright strips take.
-
-    A strip narrower than a sample takes the nearest one.
-
-    received : bool of each column, whether a beam receives it
-    """
-    strips = sector.strips
-    is_received = received[strips.column]
-    if not is_received.any():
-        return np.full(2, np.inf)
-    middles, widths = strips.middle[is_received], strips.width[is_received]
-    order = np.argsort(middles)
-    half_width = np.maximum(widths, sector.u[1])[order] / 2
-    low, high = middles[order] - half_width, np.maximum.accumulate(middles[order] + half_width)
-    begins = np.append(True, low[1:] > high[:-1] + 1e-3 * sector.u[1])
-    return np.column_stack([low[begins], high[np.append(begins[1:], True)]]).ravel()
-
-
 def _shown_points(points: np.ndarray) -> np.ndarray:
     """Return point scatterers at the azimuths at which a line array shows them, those beside or behind it left out."""
     ahead = points[np.abs(points[:, 0]) < MAX_AZIMUTH_RAD]
     level = np.sqrt(np.maximum(1 - ahead[:, 1] ** 2, 0))
     return np.column_stack([np.arcsin(np.sin(ahead[:, 0]) * level), ahead[:, 1:]])
-
-
-def received_parts(sectors: Sequence[Sector], received_u: Sequence[np.ndarray]) -> ReceivedParts:
-    """Return the parts of sectors that beams receive; received_u : of `Beamformer`."""
-    # in gaps between boxes no strip counts: what the strips take of a sample beside one is not known
-    uprights = [
-        NO_UPRIGHTS if len(u) else one.strips.uprights for one, u in zip(sectors, received_u, strict=True)
-    ]
-    return ReceivedParts(
-        np.array([one.strips.sines for one in sectors]),
-        np.array([math.tan(one.half_width_rad) for one in sectors]),
-        _begins(received_u),
-        np.concatenate(received_u),
-        _begins([one.middle for one in uprights]),
-        np.concatenate([one.middle for one in uprights]),
-        np.concatenate([one.end for one in uprights]),
-    )
-
-
-def _begins(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Return where each of some arrays begins in all of them one after the other, and where the last one ends."""
-    return np.cumsum([0, *map(len, arrays)])

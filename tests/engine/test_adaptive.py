@@ -12,7 +12,8 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
-from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer, received_parts
+from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer
+from sonar_gl.beamform.received import received_parts
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import adaptive, error_model, obstruction
 from sonar_gl.engine.body_counts import MIN_BODY_SAMPLES, BodyCounts, body_error, count_bodies
