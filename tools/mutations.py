@@ -911,8 +911,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/body out of the fan",
-        "(np.abs(elevation) - half_angle < reception.max_elevation_rad)",
-        "(np.abs(elevation) + half_angle < reception.max_elevation_rad)",
+        "if abs(elevation_rad) - half_rad >= max_elevation_rad:",
+        "if abs(elevation_rad) + half_rad >= max_elevation_rad:",
         ADAPTIVE,
     ),
     Mutation("planner/angle turned", "(float(trace) - 1) / 2", "(float(trace) + 1) / 4", ADAPTIVE),
@@ -1802,8 +1802,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/greatest gain in a span",
-        "np.stack([first, last + 1], axis=1)",
-        "np.stack([first, last], axis=1)",
+        "int(min(max(last, 0), n - 1)) + 1)",
+        "int(min(max(last, 0), n - 1)))",
         ("test_adaptive",),
     ),
     Mutation(

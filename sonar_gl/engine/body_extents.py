@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.acoustics.boundary import cos_of_greatest_lobe, specular_lobe
+from sonar_gl.core.compiled import compiled
 from sonar_gl.engine.reception import Reception
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 
@@ -165,6 +166,83 @@ def _extents(bodies, specular: bool) -> _Extents:
     )
 
 
+def _limits_of(reception: Reception) -> tuple:
+    """Return from where a sonar receives, as `_fill_greatest` takes it."""
+    sonar = reception.sonar
+    half_azimuth_rad = math.radians(sonar.azimuth_fov_deg) / 2 + reception.reach_rad
+    ranges_m = sonar.range_min_m, sonar.range_max_m, sonar.bin_size_m
+    return *ranges_m, half_azimuth_rad, reception.max_elevation_rad, reception.are_cones
+
+
+@compiled
+def _fill_greatest(bodies, limits, gain, elevation_table, out):
+    """Fill `out`, (bodies + 1,), with what `BodyExtents.greatest_echo` returns.
+
+    Parameters
+    ----------
+    bodies : centres of spheres in the frame of the sonar, (n, 3); their radii, the greatest silhouettes, and the most
+        that each body may return per steradian, 0 of absent ones
+    limits : of `_limits_of`
+    gain, elevation_table : of `Reception`
+    """
+    centres, radii_m, areas_m2, backscatter = bodies
+    range_min_m, range_max_m, bin_size_m, half_azimuth_rad, max_elevation_rad, are_cones = limits
+    for n in range(len(radii_m)):
+        x, y, z, radius_m = centres[n, 0], centres[n, 1], centres[n, 2], radii_m[n]
+        distance_m = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+        nearest_m, farthest_m = distance_m - radius_m, distance_m + radius_m
+        if backscatter[n] <= 0.0 or nearest_m >= range_max_m or farthest_m <= range_min_m:
+            continue
+        sine = min(radius_m / distance_m, 1.0)  # of half the angle that the sphere fills
+        half_rad = math.asin(sine) if sine < 1.0 else math.pi  # the sonar inside it: all directions
+        elevation_rad = math.asin(z / distance_m)
+        if abs(elevation_rad) - half_rad >= max_elevation_rad:
+            continue
+        if are_cones:
+            shown_rad, beside_rad = math.asin(min(max(y / distance_m, -1.0), 1.0)), half_rad
+            if x <= -radius_m:
+                continue
+        else:
+            shown_rad, cosine = math.atan2(y, x), math.cos(elevation_rad)
+            beside_rad = math.asin(min(sine / max(cosine, 1e-9), 1.0)) if sine < cosine else math.pi
+        if abs(shown_rad) - beside_rad >= half_azimuth_rad:
+            continue
+        angle_sr = min(areas_m2[n] / max(nearest_m, distance_m / 2) ** 2, 4 * math.pi)
+        low_rad, high_rad = (
+            max(elevation_rad - half_rad, -math.pi / 2),
+            min(elevation_rad + half_rad, math.pi / 2),
+        )
+        weight = greatest_gain(gain, range_min_m, bin_size_m, nearest_m, farthest_m)
+        weight *= greatest_pattern(elevation_table, math.sin(low_rad), math.sin(high_rad))
+        out[n + 1] = angle_sr * weight * backscatter[n]
+
+
+@compiled
+def greatest_gain(gain, range_min_m, bin_size_m, nearest_m, farthest_m):
+    """Return the greatest (K,) gain of the bins between two ranges, of which a part lies in the bins."""
+    first, last = (nearest_m - range_min_m) / bin_size_m, (farthest_m - range_min_m) / bin_size_m
+    return _greatest(gain, math.floor(first), math.floor(last))
+
+
+@compiled
+def greatest_pattern(elevation_table, low_sine, high_sine):
+    """Return the greatest two-way elevation pattern between two sines; elevation_table : of `Reception`."""
+    if not elevation_table.shape[0]:
+        return 1.0
+    per_sine = (elevation_table.shape[0] - 1) / 2
+    first, last = per_sine + per_sine * low_sine, per_sine + per_sine * high_sine
+    return _greatest(elevation_table, math.floor(first), math.ceil(last))
+
+
+@compiled
+def _greatest(values, first, last):
+    """Return the greatest of some values from one place to another, both included, as far as there are such places."""
+    out, n = 0.0, len(values)
+    for k in range(int(min(max(first, 0), n - 1)), int(min(max(last, 0), n - 1)) + 1):
+        out = max(out, values[k])
+    return out
+
+
 class BodyExtents:
     """How much echo each body of a scene could return at most, if nothing stood in front of it.
 
@@ -207,37 +285,11 @@ class BodyExtents:
         The largest gain and elevation pattern within its sphere weigh all of the solid angle that it may fill.
         """
         out = np.zeros(self.n_bodies + 1)
-        if not self.n_bodies:
-            return out
-        sonar, radii_m = reception.sonar, self._columns.radii_m
-        rotations, places = state.poses[:, :3, :3], state.poses[:, :3, 3]
-        centres = np.einsum("nij,nj->ni", rotations, self._columns.centres) + places
-        x, y, z = ((centres - pose[:3, 3]) @ pose[:3, :3]).T
-        distance = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-9)
-        sine = np.minimum(radii_m / distance, 1.0)  # of half the angle that the sphere fills
-        half_angle = np.where(sine < 1.0, np.arcsin(sine), np.pi)  # the sonar inside it: all directions
-        elevation = np.arcsin(z / distance)
-        low, high = elevation - half_angle, elevation + half_angle
-        half_azimuth = math.radians(sonar.azimuth_fov_deg) / 2 + reception.reach_rad
-        cosine = np.cos(elevation)
-        beside = np.where(sine < cosine, np.arcsin(np.minimum(sine / np.maximum(cosine, 1e-9), 1.0)), np.pi)
-        shown, is_ahead = np.arctan2(y, x), True
-        if reception.are_cones:
-            shown, beside = np.arcsin(np.clip(y / distance, -1.0, 1.0)), half_angle
-            is_ahead = x > -radii_m
-        nearest, farthest = distance - radii_m, distance + radii_m
-        inside = (
-            state.present
-            & (nearest < sonar.range_max_m)
-            & (farthest > sonar.range_min_m)
-            & (np.abs(elevation) - half_angle < reception.max_elevation_rad)
-            & (np.abs(shown) - beside < half_azimuth)
-            & is_ahead
-        )
-        angle = np.minimum(self._columns.areas_m2 / np.maximum(nearest, distance / 2) ** 2, 4 * np.pi)
-        sines = (np.sin(np.clip(end, -np.pi / 2, np.pi / 2)) for end in (low, high))
-        weight = reception.greatest_gain(nearest, farthest) * reception.greatest_pattern(*sines)
-        out[1:] = np.where(inside, angle * weight, 0.0) * self.greatest_backscatter(state)
+        centres = np.einsum("nij,nj->ni", state.poses[:, :3, :3], self._columns.centres)
+        centres += state.poses[:, :3, 3] - pose[:3, 3]
+        spheres = np.ascontiguousarray(centres @ pose[:3, :3]), self._columns.radii_m
+        bodies = *spheres, self._columns.areas_m2, self.greatest_backscatter(state) * state.present
+        _fill_greatest(bodies, _limits_of(reception), reception.gain, reception.elevation_table, out)
         return out
 
     def share_in_view(self, number: int, body, state: SceneState, pose, reception: Reception) -> float:

@@ -17,7 +17,14 @@ from sonar_gl.beamform.received import received_parts
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import adaptive, error_model, obstruction
 from sonar_gl.engine.body_counts import MIN_BODY_SAMPLES, BodyCounts, body_error, count_bodies
-from sonar_gl.engine.body_extents import BodyExtents, glint_share, greatest_lobe, sphere_about
+from sonar_gl.engine.body_extents import (
+    BodyExtents,
+    glint_share,
+    greatest_gain,
+    greatest_lobe,
+    greatest_pattern,
+    sphere_about,
+)
 from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.level_search import LevelSearch
@@ -1632,14 +1639,15 @@ def test_the_error_of_wires_falls_as_the_root_of_their_samples_alone():
 def test_the_greatest_gain_and_pattern_are_those_within_the_span():
     rng, sonar = np.random.default_rng(0), replace(SONAR, n_bins=40)
     gain, table = rng.random(40), rng.random(201)
-    reception = Reception(sonar, 0.0, 0.2, False, gain, table, None)
     near, far = np.sort(rng.uniform(0.0, 22.0, (2, 300)), axis=0)
     edges = sonar.bin_edges_m
     held = (edges[1:, None] > near) & (edges[:-1, None] <= far)
     some = held.any(axis=0)
     assert some.sum() > 250 and held[0].any() and held[-1].any()
     expected = np.where(held, gain[:, None], 0.0).max(axis=0)
-    np.testing.assert_array_equal(reception.greatest_gain(near, far)[some], expected[some])
+    bins = gain, sonar.range_min_m, sonar.bin_size_m
+    found = np.array([greatest_gain(*bins, *span) for span in zip(near, far, strict=True)])
+    np.testing.assert_array_equal(found[some], expected[some])
     low, high = np.sort(rng.uniform(-1.0, 1.0, (2, 300)), axis=0)
     low[0], high[1] = -1.0, 1.0
     sines, step = np.linspace(-1, 1, 201), 0.01
@@ -1647,5 +1655,6 @@ def test_the_greatest_gain_and_pattern_are_those_within_the_span():
         sines[:, None] < high + step
     )  # between which the pattern is linear
     expected = np.where(beside, table[:, None], 0.0).max(axis=0)
-    np.testing.assert_array_equal(reception.greatest_pattern(low, high), expected)
-    assert reception._replace(elevation_table=np.zeros(0)).greatest_pattern(low, high).tolist() == [1.0] * 300
+    found = [greatest_pattern(table, *span) for span in zip(low, high, strict=True)]
+    np.testing.assert_array_equal(found, expected)
+    assert greatest_pattern(np.zeros(0), -0.1, 0.1) == 1.0
