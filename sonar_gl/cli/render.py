@@ -25,6 +25,7 @@ from sonar_gl.cli.common import (
     progress,
     scene_from,
     sonar_from,
+    warn_of_hull,
     water_from,
 )
 from sonar_gl.core.errors import Error
@@ -77,6 +78,8 @@ def render(scene_name: str, options, given: set[str]) -> str:
         style = FanStyle(options.height, options.colormap, options.axes)
     scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)
+    if options.poses is not None:
+        warn_of_hull(scene)
     sonar = sonar_from(options, scene)
     if options.counts is not None:
         sonar = _with_counts(sonar, options, style)
