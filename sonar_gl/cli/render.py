@@ -278,7 +278,9 @@ class FrameWriter:
             what = "cells are bright enough to be seen"
             share = sonar.counts.share(np.array([[self._strongest.intensity]], np.float32))[0, 0]
             if share < CLEARLY_BRIGHT_SHARE:  # never with automatic gain
-                cure = "give --counts gain_percentile=99, or more gain by --acoustics tvg_k=40"
+                cure = "give --counts gain_percentile=99"
+                if self.simulator.acoustics.range_law == "sonar_equation":  # of which the TVG is a part
+                    cure += ", or more gain by --acoustics tvg_k=40"
             elif self.noise.has_receiver_noise:  # of which the picture may be bright
                 what = "cells show an echo above the noise"
         share = f"{subject} nearly empty: {100 * self._bright_share:.2g} % of its"

@@ -253,6 +253,8 @@ def test_a_dark_picture_says_which_gain_shows_it():
         "give --counts gain_percentile=99, or more gain by --acoustics tvg_k=40\n"
     )
     assert run("render", "tank.sdf", *QUICK, "--counts", "low_db=20,high_db=40,gain_percentile=99")[2] == ""
+    err = run("render", "tank.sdf", *QUICK, *dark, "--profile", "ideal")[2]  # which has no TVG
+    assert err.endswith("bright enough to be seen; give --counts gain_percentile=99\n")
 
 
 def test_a_sequence_is_nearly_empty_if_all_its_pictures_are():
