@@ -1771,6 +1771,24 @@ MUTATIONS = (
         REQUESTS,
     ),
     Mutation(
+        "batch/hull that the job moves",
+        "model is not None and not matching_names(moved, [model, *scene.parts_of(model)])",
+        "model is not None",
+        ("test_batch::test_a_hull_that_stays_behind_is_warned_of",),
+    ),
+    Mutation(
+        "render/hull that stays behind",
+        "return model if self.parts_of(model) else None",
+        "return None",
+        ("test_render::test_a_hull_that_stays_behind_is_warned_of",),
+    ),
+    Mutation(
+        "acoustics/TVG without an effect",
+        "settings.get(key) is not None and acoustics.range_law",
+        "key in settings and acoustics.range_law",
+        ("test_acoustics::test_a_tvg_that_has_no_effect_is_warned_of",),
+    ),
+    Mutation(
         "batch/pings without an echo",
         "~np.any(has_echo, axis=0)",
         "~np.all(has_echo, axis=0)",

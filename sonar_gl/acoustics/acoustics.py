@@ -22,6 +22,7 @@ from sonar_gl.core.signatures import shown_by_fields
 from sonar_gl.core.warn import collected_warnings, warn_caller
 from sonar_gl.sonar.sonar import Sonar
 
+TVG_FIELDS = ("tvg_k", "tvg_absorption_db_m")
 SWITCHES = (  # fields that are on in the profile "physical", and off in the others
     "conical_beams",
     "far_side_lobes",
@@ -248,7 +249,14 @@ class Acoustics:
             got = "a comma or nothing where a key must be"
             raise Error(f"acoustics {text!r}: must be key=value, ... (got {got})")
         _, settings = parse_fields("acoustics", text, cls, without=("profile", "water"))
-        return replace(cls(profile), **settings)
+        acoustics = replace(cls(profile), **settings)
+        for key in TVG_FIELDS:
+            if settings.get(key) is not None and acoustics.range_law != "sonar_equation":
+                warn_caller(
+                    f"acoustics {text!r}: {key} has no effect by the range law {acoustics.range_law!r} of the profile "
+                    f"{profile!r} (give range_law=sonar_equation, too)"
+                )
+        return acoustics
 
     def meta(self) -> dict:
         """Return the fields as plain values, the water as a table, for the record of a ping."""

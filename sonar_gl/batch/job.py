@@ -54,6 +54,9 @@ REPLACED = {
 }
 # of keys, in messages: the cure of a wrong value
 METRES, RADIANS = "give metres", "give radians: degrees times π/180"
+SONAR = (
+    "name a preset, as 'sonar-gl sonars' lists them, or a file; a batch does not take the sonar of a scene"
+)
 LAYERS = ("body", "class", "elevation", "range", "incidence", "share", "shadow", "boxes")
 
 # ---- values -----------------------------------------------------------------------------------------
@@ -136,7 +139,7 @@ class SonarTable(Table):
     mount : x y z roll pitch yaw of the sonar on the vehicle, metres and radians
     """
 
-    sonar: str
+    sonar: Annotated[str, Field(description=SONAR)]
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = None
     range_m: Annotated[float, Field(gt=0)] = None
     bins: Annotated[int, Field(ge=1, le=MAX_BINS)] = None
@@ -423,7 +426,8 @@ def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
         hint = f"; {nearest_names(str(place[-1]), known)}" if known else ""
         return f"{key_path(place[:-1]) or whole}: unknown key (got {str(place[-1])!r}{hint})"
     if error["type"] == "missing":
-        return f"{key_path(place)} must be given"
+        cure = _cure(kind, error["loc"])
+        return f"{key_path(place)} must be given{cure and f' ({cure})'}"
     text = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
     text = text[:1].lower() + text[1:]
     if error["type"] in LENGTHS:

@@ -26,7 +26,7 @@ from sonar_gl.noise.receiver import receiver_levels_db
 from sonar_gl.noise.settings import PRESETS, Noise, check_moved_amounts
 from sonar_gl.ros.messages import MAX_TIME_S as MAX_ROS_TIME_S
 from sonar_gl.scene.load import load_scene
-from sonar_gl.scene.scene import Scene
+from sonar_gl.scene.scene import Scene, hull_text
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
@@ -185,6 +185,16 @@ class BatchRequests(Sequence):
                         f"warning: {self.job.where}: poses[{k}]: sonar {name!r} makes {max_rate_hz:.4g} pings a second "
                         f"at most (got {1 / shortest_s:.4g}; its range, its ping_rate_max_hz, or the times)"
                     )
+
+    def hull_warnings(self) -> Iterator[str]:
+        """Yield a sentence about each scene in which the sonars leave the hull of their vehicle behind."""
+        moved = [pattern for table in self.job.vary.bodies for pattern in table.names]
+        for index, name in enumerate(self.job.scenes):
+            scene = self.scene(index)
+            model = scene.vehicle()
+            if model is not None and not matching_names(moved, [model, *scene.parts_of(model)]):
+                place = f"{self.job.where}: scenes[{index}], {name!r}"
+                yield f'warning: {place}: {hull_text(model)} (leave it out: without = ["{model}*"])'
 
     def __len__(self) -> int:
         return self.runs[-1].numbers.stop

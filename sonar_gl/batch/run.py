@@ -136,7 +136,7 @@ def run(
     if job.ros is not None and not folder.is_local:
         raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
     batch = Batch(job, folder)  # finds what is wrong with the job before anything is made
-    for text in batch.requests.device_warnings():
+    for text in (*batch.requests.device_warnings(), *batch.requests.hull_warnings()):
         report(text)
     folder.create()
     any_system = settings.any_system
@@ -264,7 +264,7 @@ def _stop_on_signals(pool: Pool, report: Callable[[str], None]):
 def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     """Make some pings of a job in a temporary folder, and return a text on the job's size and time."""
     requests = BatchRequests(job)
-    for text in requests.device_warnings():
+    for text in (*requests.device_warnings(), *requests.hull_warnings()):
         report(text)
     with (
         tempfile.TemporaryDirectory() as url,

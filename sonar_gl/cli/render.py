@@ -25,6 +25,7 @@ from sonar_gl.cli.common import (
     progress,
     scene_from,
     sonar_from,
+    warn_of_hull,
     water_from,
 )
 from sonar_gl.core.errors import Error
@@ -77,6 +78,8 @@ def render(scene_name: str, options, given: set[str]) -> str:
         style = FanStyle(options.height, options.colormap, options.axes)
     scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)
+    if options.poses is not None:
+        warn_of_hull(scene)
     sonar = sonar_from(options, scene)
     if options.counts is not None:
         sonar = _with_counts(sonar, options, style)
@@ -275,7 +278,9 @@ class FrameWriter:
             what = "cells are bright enough to be seen"
             share = sonar.counts.share(np.array([[self._strongest.intensity]], np.float32))[0, 0]
             if share < CLEARLY_BRIGHT_SHARE:  # never with automatic gain
-                cure = "give --counts gain_percentile=99, or more gain by --acoustics tvg_k=40"
+                cure = "give --counts gain_percentile=99"
+                if self.simulator.acoustics.range_law == "sonar_equation":  # of which the TVG is a part
+                    cure += ", or more gain by --acoustics tvg_k=40"
             elif self.noise.has_receiver_noise:  # of which the picture may be bright
                 what = "cells show an echo above the noise"
         share = f"{subject} nearly empty: {100 * self._bright_share:.2g} % of its"

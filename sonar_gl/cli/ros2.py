@@ -9,7 +9,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from sonar_gl import ros
-from sonar_gl.cli.common import acoustics_from, check_duration, poses_from, scene_from, sonar_from
+from sonar_gl.cli.common import (
+    acoustics_from,
+    check_duration,
+    poses_from,
+    scene_from,
+    sonar_from,
+    warn_of_hull,
+)
 from sonar_gl.cli.output import echo
 from sonar_gl.cli.ros2_file import OPTIONS, Ros2File, read_ros2_file
 from sonar_gl.core.checks import shown
@@ -56,6 +63,8 @@ def ros2(scene_name: str, options, given: set[str]) -> str:
     if (options.pose, options.poses) == (None, None):
         # the publisher has the scene's pose, which is the sonar's, where options state that of a vehicle
         track = None
+    if (settings.pose_from, options.poses) != (None, None) and settings.bodies_from is None:
+        warn_of_hull(scene)
     sonar = sonar_from(options, scene)
     if options.counts is not None:
         sonar = replace(sonar, counts=sonar.counts.parse_changes("--counts", options.counts))

@@ -18,6 +18,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -148,7 +149,7 @@ def write_part(path, records: Iterable, settings: BagSettings) -> None:
     the time of each record. /tf_static rotates a sensor's own frame to that of its messages. Every file has
     it, so that each can be read alone.
     """
-    with atomic_write(path) as temporary, temporary.open("wb") as file:
+    with atomic_write(Path(path)) as temporary, temporary.open("wb") as file:
         part = _PartWriter(BagFile(file), settings)
         for record in records:
             part.add(record)

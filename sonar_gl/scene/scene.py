@@ -225,6 +225,13 @@ def body_at(name: str, shape: Shape, world_from_body) -> Body:
     return Body(name, shape.mesh, pose, normals=shape.normals)
 
 
+def hull_text(model: str) -> str:
+    """Return that a sonar that moves leaves the model behind that carries it."""
+    return (
+        f"poses move the sonar alone: model {model!r}, which carries it, stays where it is, and returns echo"
+    )
+
+
 class Scene(ArraysStayReadOnly):
     """Bodies, bubble plumes, the water's surface, and the pose of the sonar if the scene's file has one.
 
@@ -373,6 +380,18 @@ class Scene(ArraysStayReadOnly):
             else model_from_world @ thing.pose
             for thing in self._things_of_models.get(model, ())
         }
+
+    def vehicle(self) -> str | None:
+        """Return the outermost model that holds the first sensor; None if no body or plume of the scene is in it.
+
+        A sonar that moves leaves what is in this model behind, unless it is moved, too.
+
+        >>> from sonar_gl import load_scene
+        >>> load_scene("pylon").vehicle() is None  # the sensor is alone in its model
+        True
+        """
+        model = self.sensors[0].model.partition("::")[0] if self.sensors else ""
+        return model if self.parts_of(model) else None
 
     @cached_property
     def _things_of_models(self) -> dict[str, list[Body | Bubbles]]:

@@ -2,6 +2,7 @@
 
 import doctest
 import json
+import warnings
 from dataclasses import FrozenInstanceError, asdict, fields, replace
 from functools import partial
 
@@ -19,6 +20,23 @@ from tests.support.errors import error_of
 @pytest.fixture
 def sonar():
     return load_sonar("p900-45")
+
+
+def test_a_tvg_that_has_no_effect_is_warned_of():
+    """`--profile ideal --acoustics tvg_k=30` changed nothing, without a word."""
+    for key in ("tvg_k", "tvg_absorption_db_m"):
+        text = f"{key}=1"
+        with pytest.warns(
+            UserWarning, match=f"{key} has no effect by the range law 'constant' of the profile 'ideal'"
+        ):
+            found = Acoustics.parse(text, "ideal")
+        r, sonar = np.array([1.0, 10.0]), load_sonar("p900-45")
+        assert found.range_gain(r, sonar).tolist() == Acoustics.ideal().range_gain(r, sonar).tolist()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            Acoustics.parse(text)
+            Acoustics.parse(f"{text},range_law=sonar_equation", "ideal")
+            Acoustics.parse("tvg_absorption_db_m=none", "ideal")
 
 
 def test_support_of_the_receive_pattern(sonar):

@@ -272,6 +272,25 @@ def test_ranges_beyond_what_a_device_allows_are_warned_of(requests):
     assert text == f"warning: {requests.job.where}: {limited.sonars['short'].beyond_limit_text()}"
 
 
+def test_a_hull_that_stays_behind_is_warned_of(tmp_path, requests):
+    path = write_job(tmp_path)
+    assert list(requests.hull_warnings()) == []
+    world = (tmp_path / "tank.sdf").read_text()
+    sensor = '<link name="mount"><sensor name="sonar" type="custom"/></link>'
+    wall = world.index("</model>", world.index('<model name="wall">'))
+    (tmp_path / "tank.sdf").write_text(world[:wall] + sensor + world[wall:])
+    (text,) = BatchRequests(read_job(path)).hull_warnings()
+    assert text == (
+        f"warning: {path}: scenes[0], 'tank.sdf': poses move the sonar alone: model 'wall', which carries it, stays "
+        'where it is, and returns echo (leave it out: without = ["wall*"])'
+    )
+    for old, new in (("tolerance", 'without = ["wall*"]\ntolerance'), ('["box_*"]', '["box_*", "wall"]')):
+        job = path.read_text()
+        path.write_text(job.replace(old, new, 1))
+        assert list(BatchRequests(read_job(path)).hull_warnings()) == []
+        path.write_text(job)
+
+
 def test_rates_are_checked_block_by_block(requests, monkeypatch):
     """The times of all pings at once took all memory: a job may have 1e9."""
     monkeypatch.setattr("sonar_gl.batch.requests.BLOCK_PINGS", 4)
@@ -1784,6 +1803,11 @@ BAD = [
     ('scenes = ["tank.sdf"]', 'scenes = ["tonk.sdf"]', "scenes[0]: "),
     ('scenes = ["tank.sdf"]', 'scenes = "tank.sdf"', """(got 'tank.sdf'; write ["tank.sdf"])"""),
     ('scenes = ["tank.sdf"]', "", "scenes must be given"),
+    (
+        'sonar = "small.toml"',
+        "",
+        "sonars[0].sonar must be given (name a preset, as 'sonar-gl sonars' lists them, or a file;",
+    ),
     ("seed = 5", "seed = = 5", "the job file must be TOML ("),
 ]
 

@@ -1141,8 +1141,8 @@ def test_acoustics_change_fields_of_a_profile():
     assert made == wanted.meta()
     render("--profile", "ideal", "--acoustics", "tvg_absorption_db_m=none,beam_pattern=line_array")
     assert ping().meta["acoustics"] == replace(sg.Acoustics.ideal(), beam_pattern="line_array").meta()
-    render("--profile", "demarco2015", "--range-law", "inverse", "--acoustics", "tvg_k=30")
-    assert ping().meta["acoustics"] == replace(sg.Acoustics.demarco2015("inverse"), tvg_k=30.0).meta()
+    render("--profile", "demarco2015", "--range-law", "inverse", "--acoustics", "pulse=yes")
+    assert ping().meta["acoustics"] == replace(sg.Acoustics.demarco2015("inverse"), pulse=True).meta()
 
 
 def test_water():

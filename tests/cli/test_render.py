@@ -20,7 +20,7 @@ import sonar_gl as sg
 from sonar_gl.cli import render as command
 from sonar_gl.cli.render import WRITERS, BackgroundCalls
 from sonar_gl.core import atomic_file
-from tests.support.command_line import BOX, SENSOR, SONAR, WALL, run
+from tests.support.command_line import BODY, BOX, SENSOR, SONAR, WALL, run
 from tests.support.waiting import WAIT_S, wait_until
 
 FRAMES = 8
@@ -253,6 +253,8 @@ def test_a_dark_picture_says_which_gain_shows_it():
         "give --counts gain_percentile=99, or more gain by --acoustics tvg_k=40\n"
     )
     assert run("render", "tank.sdf", *QUICK, "--counts", "low_db=20,high_db=40,gain_percentile=99")[2] == ""
+    err = run("render", "tank.sdf", *QUICK, *dark, "--profile", "ideal")[2]  # which has no TVG
+    assert err.endswith("bright enough to be seen; give --counts gain_percentile=99\n")
 
 
 def test_a_sequence_is_nearly_empty_if_all_its_pictures_are():
@@ -263,6 +265,21 @@ def test_a_sequence_is_nearly_empty_if_all_its_pictures_are():
     Path("away.csv").write_text(header + "0,-3.7,0,0,0,0,0\n1,-3.6,0,0,0,0,0\n")  # the box alone is in range
     err = run(*sequence)[2]
     assert err.startswith("warning: all pictures are nearly empty: ") and err.count("\n") == 1
+
+
+def test_a_hull_that_stays_behind_is_warned_of():
+    hull = BODY.format("rov", "-0.5 0 0", "0.4 0.4 0.2")
+    mount = '<link name="mount"><pose>0.5 0 0 0 0 0</pose><sensor name="sonar" type="custom"/></link></model>'
+    vehicle = hull.replace("</model>", mount)
+    Path("rov.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}{vehicle}</world></sdf>')
+    sequence = "rov.sdf", *SEQUENCE[1:], "--format", "npz"
+    assert run("render", *sequence)[2] == (
+        "warning: poses move the sonar alone: model 'rov', which carries it, stays where it is, and returns echo "
+        "(leave it out: --without 'rov*')\n"
+    )
+    assert run("render", *sequence, "--without", "rov*")[2] == ""
+    assert run("render", *SEQUENCE, "--format", "npz")[2] == ""  # the sensor is alone in its model
+    assert run("render", *sequence[:3], "--tolerance", 0.05, "--format", "npz")[2] == ""  # does not move
 
 
 @pytest.mark.parametrize("words", [("aris-1800", "--range", 16), ("aris-1800,range_max_m=16",)])

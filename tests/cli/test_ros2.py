@@ -20,6 +20,7 @@ from sonar_gl.cli.main import main
 from sonar_gl.cli.ros2_file import read_ros2_file
 from sonar_gl.ros.messages import message_types
 from sonar_gl.ros.transport import Topic
+from tests.support.command_line import BODY, WALL
 from tests.support.loopback_transport import LoopbackTransport
 from tests.support.pose_messages import odometry
 
@@ -155,6 +156,25 @@ def test_the_scene_places_the_sonar_and_the_option_the_vehicle_that_carries_it(t
     assert link.child_frame_id == "base_link"
     at = link.transform.translation
     assert (at.x, at.y, at.z) == pytest.approx(tuple(vehicle[:3, 3]))
+
+
+@pytest.mark.parametrize(
+    ("words", "is_warned"),
+    [
+        (("--pose-from", "pose=/rov/pose"), True),
+        (("--pose-from", "pose=/rov/pose", "--bodies-from", "/rov/bodies"), False),
+        (("--pose-from", "pose=/rov/pose", "--without", "rov*"), False),
+        ((), False),
+    ],
+)
+def test_a_hull_that_stays_behind_is_warned_of(transports, tmp_path, words, is_warned):
+    world = f'<sdf version="1.9"><world name="any">{WALL}{BODY.format("rov", "-0.5 0 0", "0.4 0.4 0.2")}</world></sdf>'
+    mount = '<link name="mount"><pose>0.5 0 0 0 0 0</pose><sensor name="sonar" type="custom"/></link></model></world>'
+    path = tmp_path / "rov.sdf"
+    path.write_text(world.replace("</model></world>", mount).replace("</model>\n</world>", mount))
+    found = run(str(path), *FAST, "--duration", "0.1", *words)
+    assert found.exit_code == 0, found.output
+    assert ("model 'rov', which carries it, stays where it is" in found.output) == is_warned
 
 
 def test_counts_are_those_of_the_option_else_of_the_file(transports, tmp_path):

@@ -374,6 +374,12 @@ def test_the_page_of_batches_runs(folder):
         one = ones[image["id"] // 9]
         ids = joined.getAnnIds(image["id"]), one.getAnnIds(image["id"] % 9)
         assert [a["bbox"] for a in joined.loadAnns(ids[0])] == [a["bbox"] for a in one.loadAnns(ids[1])]
+    seabed = Path("seabed.toml").read_text().replace("n_pings = 300", "n_pings = 12")
+    Path("seabed.toml").write_text(seabed)
+    assert run("batch", "seabed.toml", "--out", "seabed").exit_code == 0
+    lying = COCO("seabed/coco/oculus_m1200d_lf/instances.json")
+    assert [category["name"] for category in lying.cats.values()] == ["tyre", "crate", "mine"]
+    assert all(lying.getAnnIds(catIds=number) for number in lying.cats)
     Path("elsewhere.toml").write_text(elsewhere + text[text.index("[[sonars]]") : text.index("[[poses]]")])
     requests = BatchRequests(read_job(Path("elsewhere.toml")))
     assert [request.scene for request in requests] == [0] * 200 + [1] * 100

@@ -118,6 +118,12 @@ def placed(messages, frame):
     return out
 
 
+def test_a_path_may_be_text(tmp_path):
+    for path in (tmp_path / "path.mcap", str(tmp_path / "text.mcap")):
+        write_part(path, [PingRecord(0.0, "a", make_ping())], SETTINGS)
+    assert (tmp_path / "text.mcap").read_bytes() == (tmp_path / "path.mcap").read_bytes()
+
+
 @READERS
 def test_the_sound_speed_is_the_one_that_ranges_are_calculated_with(tmp_path, read):
     """Of a sonar set to another speed than its water has, which shows echoes at other ranges than their own."""
