@@ -1607,6 +1607,11 @@ def test_the_page_of_batches_states_the_keys_of_the_outputs():
 BAD = [
     ("seed = 5", "seed = -1", "seed: should be greater than or equal to 0 (got -1)"),
     ("seed = 5", "sead = 5", "the job: unknown key (got 'sead'; did you mean 'seed'"),
+    ("tolerance = 0.05", "tolerane = 0.05", "(got 'tolerane'; did you mean 'tolerance'?)"),
+    ("seed = 5", "where = 'x'", "the job: unknown key (got 'where'; did you mean 'water'"),
+    ('preset = "physical"', 'prest = "physical"', "noise: unknown key (got 'prest'; did you mean 'preset'?)"),
+    ('kind = "sector"', 'kid = "sector"', "poses[0]: unknown key (got 'kid'; did you mean 'kind'"),
+    ('kind = "sector"\n', "", "poses[0]: kind must be one of trajectory, lawnmower"),
     ("seed = 5", "only = []", "only: should have a length of at least 1 (got []"),
     ("seed = 5", "without = ['boat']", "without must name bodies of the scene (got 'boat';"),
     ("seed = 5", "surface_z_m = 'x'", "surface_z_m: should be a valid number (got 'x')"),
