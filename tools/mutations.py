@@ -999,6 +999,12 @@ MUTATIONS = (
         ("test_runs::test_processes_share_the_cores",),
     ),
     Mutation(
+        "batch/threads that the user asks for",
+        'if "NUMBA_NUM_THREADS" not in os.environ:',
+        "if count:",
+        ("test_runs::test_processes_share_the_cores",),
+    ),
+    Mutation(
         "planner/a plan that is not met",
         "met=all(plan.met for plan in plans)",
         "met=any(plan.met for plan in plans)",
