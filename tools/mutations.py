@@ -1783,6 +1783,12 @@ MUTATIONS = (
         ("test_batch::test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in",),
     ),
     Mutation(
+        "batch/warnings but that of no echo",
+        "if issubclass(warning.category, NoEchoWarning):",
+        "if False:",
+        ("test_batch::test_a_sonar_inside_a_body_is_reported_though_its_pings_have_no_echo",),
+    ),
+    Mutation(
         "batch/space on the disk",
         "if isinstance(why, OSError) or is_out_of_memory(why): raise kind",
         "if is_out_of_memory(why):\n                    raise\n                kind",
