@@ -1517,6 +1517,12 @@ MUTATIONS = (
         ("test_publisher",),
     ),
     Mutation(
+        "live/notes of bodies that moved",
+        "if request.bodies is not last_bodies or not np.array_equal(pose, last_pose):",
+        "if not np.array_equal(pose, last_pose):",
+        ("test_session::test_a_sonar_inside_a_body_or_in_the_air_is_told_in_each_frame_in_which_it_rests",),
+    ),
+    Mutation(
         "live/range of another sonar", "min(range_m, sonar.range_limit_m)", "range_m", ("test_view_parts",)
     ),
     Mutation("live/outline over its body", "np.uint8)) > closed", "np.uint8)) > 0", ("test_view_parts",)),
