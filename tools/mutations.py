@@ -999,6 +999,12 @@ MUTATIONS = (
         ("test_runs::test_processes_share_the_cores",),
     ),
     Mutation(
+        "batch/threads that the user asks for",
+        'if "NUMBA_NUM_THREADS" not in os.environ:',
+        "if count:",
+        ("test_runs::test_processes_share_the_cores",),
+    ),
+    Mutation(
         "planner/a plan that is not met",
         "met=all(plan.met for plan in plans)",
         "met=any(plan.met for plan in plans)",
@@ -1511,6 +1517,12 @@ MUTATIONS = (
         ("test_publisher",),
     ),
     Mutation(
+        "live/notes of bodies that moved",
+        "if request.bodies is not last_bodies or not np.array_equal(pose, last_pose):",
+        "if not np.array_equal(pose, last_pose):",
+        ("test_session::test_a_sonar_inside_a_body_or_in_the_air_is_told_in_each_frame_in_which_it_rests",),
+    ),
+    Mutation(
         "live/range of another sonar", "min(range_m, sonar.range_limit_m)", "range_m", ("test_view_parts",)
     ),
     Mutation("live/outline over its body", "np.uint8)) > closed", "np.uint8)) > 0", ("test_view_parts",)),
@@ -1793,6 +1805,12 @@ MUTATIONS = (
         "~np.any(has_echo, axis=0)",
         "~np.all(has_echo, axis=0)",
         ("test_batch::test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in",),
+    ),
+    Mutation(
+        "batch/warnings but that of no echo",
+        "if issubclass(warning.category, NoEchoWarning):",
+        "if False:",
+        ("test_batch::test_a_sonar_inside_a_body_is_reported_though_its_pings_have_no_echo",),
     ),
     Mutation(
         "batch/space on the disk",

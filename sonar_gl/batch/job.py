@@ -376,7 +376,8 @@ def read_job(path) -> Job:
     data = read_toml(path, "the job file")
     for key in LOCATION_KEYS:
         if key in data:
-            raise Error(f"{path}: the job: unknown key (got {key!r})")
+            hint = nearest_names(key, _known_keys(Job, ()))
+            raise Error(f"{path}: the job: unknown key (got {key!r}; {hint})")
     try:
         job = Job.model_validate(data | {"where": str(path), "folder": str(path.resolve().parent)})
     except ValidationError as why:
@@ -460,7 +461,7 @@ def _kind_at(kind: type, place: Iterable) -> type | None:
 
 def _known_keys(kind: type, place: Iterable) -> list[str]:
     """Return the keys of the table at a place, as far as the types say."""
-    return list(getattr(_kind_at(kind, place), "model_fields", ()))
+    return [key for key in getattr(_kind_at(kind, place), "model_fields", ()) if key not in LOCATION_KEYS]
 
 
 def _cure(kind: type, place: tuple) -> str:

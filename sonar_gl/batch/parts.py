@@ -42,6 +42,7 @@ from sonar_gl.batch.store import (
 from sonar_gl.batch.system import System, processor
 from sonar_gl.core.errors import Error, is_out_of_memory
 from sonar_gl.core.warn import CollectedWarning, collected_warnings
+from sonar_gl.engine.no_echo import NoEchoWarning
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
@@ -546,13 +547,19 @@ class PartMaker:
         No warning names its ping, since in a sequence it may be one that is made ahead.
         """
         with collected_warnings() as found:
-            ping = make()
-        for warning in found if ping.meta["has_echo"] else ():
-            text = _placed(warning, self._batch, scene, sonar)
-            if issubclass(warning.category, ToleranceWarning):
-                if (scene, sonar) in self._unmet:
-                    continue
-                self._unmet.add((scene, sonar))
-                text += "; this is said once, error_estimate of the arrays tells of each ping"
-            task.report("warning", text)
-        return ping
+            try:
+                return make()
+            finally:  # also if it fails: the next try does not warn of what a simulator says once
+                for warning in found:
+                    self._report_warning(warning, task, scene, sonar)
+
+    def _report_warning(self, warning: CollectedWarning, task: _Part, scene: int, sonar: str) -> None:
+        text = _placed(warning, self._batch, scene, sonar)
+        if issubclass(warning.category, NoEchoWarning):
+            return
+        if issubclass(warning.category, ToleranceWarning):
+            if (scene, sonar) in self._unmet:
+                return
+            self._unmet.add((scene, sonar))
+            text += "; this is said once, error_estimate of the arrays tells of each ping"
+        task.report("warning", text)

@@ -23,6 +23,7 @@ from sonar_gl.core.cores import count_cores
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.warn import collected_warnings, warn_caller
+from sonar_gl.engine.threads import limit_threads
 
 IN_PROGRESS = 9  # pings after the last finished one that a sequence may be at: two of its batches and one
 STALL_S = 900.0  # a process that is silent for longer is taken to hang
@@ -40,18 +41,28 @@ NO_LEAK_WARNING = {"PYTHONWARNINGS": "ignore::UserWarning:multiprocessing.resour
 
 
 def serve(
-    pipe: Connection, job: dict, url: str, device: int | None, any_system: bool, is_dry_run: bool
+    pipe: Connection,
+    n_threads: int,
+    job: dict,
+    url: str,
+    device: int | None,
+    any_system: bool,
+    is_dry_run: bool,
 ) -> None:
     """Run the steps that come through a pipe until None comes or the pipe closes.
 
     In: the name of one of `parts.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
     and at its end ("of files", text) for each warning of what it has read, and ("result", value), or ("error",
     text) for an Error, a failed write and everything else.
+
+    n_threads : it computes with
+    job, url, device, any_system, is_dry_run : as for `Pool`
     """
     # the pool decides when to stop; queues signal all processes
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     _die_with_parent()
+    limit_threads(n_threads)
     batch = None
 
     def report(kind, value):
@@ -140,13 +151,9 @@ class Task:
 
 
 @contextmanager
-def _environment_of_children(n_threads: int):
-    """Set what child processes inherit: how many threads they have, and no Ctrl-C, which the pool handles.
-
-    n_threads : of ours, unless the user has said how many; libraries have one
-    """
+def _environment_of_children():
+    """Set what child processes inherit: one thread for each library, and no Ctrl-C, which the pool handles."""
     settings = dict.fromkeys(ONE_THREAD, "1") | NO_LEAK_WARNING
-    settings["NUMBA_NUM_THREADS"] = os.environ.get("NUMBA_NUM_THREADS", str(n_threads))
     before = {key: os.environ.get(key) for key in settings}
     os.environ.update(settings)
     interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -163,8 +170,7 @@ class Process:
 
     Parameters
     ----------
-    n_threads : it may compute with
-    arguments : job, url, device, any_system and is_dry_run, as for `serve`
+    arguments : of `serve`, but for the pipe
 
     Attributes
     ----------
@@ -173,11 +179,11 @@ class Process:
     pid : its process id
     """
 
-    def __init__(self, n_threads: int, *arguments):
+    def __init__(self, *arguments):
         context = multiprocessing.get_context("spawn")  # a fork would share the parent's OpenGL
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=serve, args=(theirs, *arguments), daemon=True)
-        with _environment_of_children(n_threads):
+        with _environment_of_children():
             self._process.start()
         theirs.close()
         self.pid = self._process.pid

@@ -13,7 +13,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics, check_moved
 from sonar_gl.acoustics.water import Water
-from sonar_gl.batch.job import Job, SonarTable, build, check_patterns, split_sonar
+from sonar_gl.batch.job import Job, SonarTable, build, check_keys, check_patterns, split_sonar
 from sonar_gl.batch.trajectories import FileTrajectory, RandomViews, Trajectory, build_trajectory
 from sonar_gl.core.checks import check_choice, shown
 from sonar_gl.core.errors import Error, errors_at
@@ -483,7 +483,9 @@ def _load_noise(job: Job) -> Noise:
     if not isinstance(preset, str) or preset not in PRESETS:
         raise Error(f"{where}.preset must be one of {', '.join(PRESETS)} (got {shown(preset)})")
     check_moved_amounts(where, settings)
-    return build(Noise, asdict(PRESETS[preset]) | settings, where)
+    settings = asdict(PRESETS[preset]) | settings
+    check_keys(Noise, settings, where, also=("preset",))
+    return build(Noise, settings, where)
 
 
 def _check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:

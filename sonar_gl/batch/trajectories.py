@@ -10,6 +10,7 @@ import math
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Annotated
 
 import numpy as np
@@ -17,6 +18,7 @@ from pydantic import AfterValidator, Field, Strict, ValidationError
 from pydantic.dataclasses import dataclass
 
 from sonar_gl.batch.job import METRES, RADIANS, STRICT, check_keys, job_error, key_path
+from sonar_gl.core.checks import check_choice
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import check_kind_of_file
 from sonar_gl.core.poses import pose, read_poses
@@ -409,6 +411,10 @@ def build_trajectory(table: Mapping, file: str, index: int = 0) -> Trajectory:
     """
     settings, place = dict(table), ("poses", index)
     where = f"{file}: {key_path(place)}"
+    if "kind" not in table:
+        known = {field.name for kind in KINDS.values() for field in fields(kind)}
+        for key in table:
+            check_choice("key", key, {"kind", "scenes", *known}, where)
     kind = settings.pop("kind", None)
     if not isinstance(kind, str) or kind not in KINDS:
         raise Error(f"{where}: kind must be one of {', '.join(KINDS)} (got {kind!r})")

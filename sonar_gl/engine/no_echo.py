@@ -19,6 +19,10 @@ from sonar_gl.sonar.sonar import Sonar
 WIDEST_WEDGE_DEG = 30.0  # whose planar ends reach beyond the elevations of the fan by 3 % at most
 
 
+class NoEchoWarning(UserWarning):
+    """A ping has no echo."""
+
+
 def why_no_echo(
     scene: Scene, state: SceneState, instrument: Instrument, pose, samples: Sequence[SectorSamples]
 ) -> str:

@@ -28,6 +28,7 @@ from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.level_search import ChosenView, LevelSearch
 from sonar_gl.engine.motion import shown_in_motion
 from sonar_gl.engine.multipath import DirectView, ImageSources, ImageSourceSamples, receive_images
+from sonar_gl.engine.no_echo import NoEchoWarning
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
@@ -94,7 +95,7 @@ def receive(drawn: DrawnPing) -> ReceivedPing:
 def finish(run: Run, received: ReceivedPing, report: PingReport) -> Ping:
     """Assemble a ping of a scene; warn if it has no echo."""
     if report.no_echo is not None:
-        warn_caller(report.no_echo)
+        warn_caller(report.no_echo, NoEchoWarning)
     return assemble(run.instrument, received, report.origin, run.world.thread, report.error_estimate)
 
 

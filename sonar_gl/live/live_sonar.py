@@ -26,6 +26,7 @@ from sonar_gl.live.surfaces import surface_in_bin
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.hidden_labels import without_hidden_labels
 from sonar_gl.ping import Ping
+from sonar_gl.scene.extent import air_text, inside_text
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.counts import LEVEL_BOUND_DB
@@ -72,6 +73,8 @@ class LiveSonar:
         # until the first is moved, bodies stay where the simulators have them
         self._are_moved, self._placed = False, None
         self._labels: OrderedDict[LiveFrame, Ping] = OrderedDict()
+        self._last_place = None, None  # pose of the sonar, and bodies, of the last ping
+        self._place_notes: list[str] | None = None  # of that place; None before a second ping there
 
     def ping(self, request: FrameRequest) -> LiveFrame:
         """Return the frame of the next ping; raise Error if it fails."""
@@ -90,6 +93,7 @@ class LiveSonar:
                 **labels,
             )
             ping = make_ping(simulator.run, wanted)
+            place_notes = self._notes_of_place(simulator, request)
         device = settings.device
         ping = replace(ping, sonar=device, meta=ping.meta | {"sonar": device.meta()})
         shown = None
@@ -110,8 +114,23 @@ class LiveSonar:
             samples=simulator.sampling.count(settings.device),
             bodies=request.bodies,
             highlight=shown,
-            notes=tuple(dict.fromkeys(one.text for one in found)),
+            notes=tuple(dict.fromkeys([*(one.text for one in found), *place_notes])),
         )
+
+    def _notes_of_place(self, simulator: Simulator, request: FrameRequest) -> list[str]:
+        """Return what is said of a sonar in the air or inside a body, as long as it rests there.
+
+        A simulator says it once, which is one frame among many. To look at each pose would slow a sonar that moves.
+        """
+        pose, (last_pose, last_bodies) = request.place.pose, self._last_place
+        if request.bodies is not last_bodies or not np.array_equal(pose, last_pose):
+            self._last_place, self._place_notes = (pose, request.bodies), None
+            return []
+        if self._place_notes is None:
+            state = simulator.run.set_up(PingRequest(pose, time_s=request.place.time_s)).state
+            around = inside_text(self._scene.bodies, state.poses, state.present, pose[:3, 3])
+            self._place_notes = [text for text in (air_text(self._scene, pose), around) if text]
+        return self._place_notes
 
     def still(self, frame: LiveFrame) -> LiveFrame:
         """Return a frame as `LiveSession.still` does."""

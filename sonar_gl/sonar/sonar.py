@@ -23,7 +23,7 @@ from sonar_gl.core.checks import (
     plain_number,
     shown,
 )
-from sonar_gl.core.errors import Error, errors_at, nearest_names
+from sonar_gl.core.errors import Error, errors_at, nearest_names, similar_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.poses import check_pose
@@ -621,10 +621,11 @@ def _read_tables(path: Path) -> dict[str, dict]:
     if not tables:
         return {path.stem: data}
     if len(tables) < len(data):
-        key = next(key for key in data if key not in tables)
+        key, table = next(key for key in data if key not in tables), next(iter(tables))
+        hint = similar_names(table, ["counts"])
         raise Error(
             f"{path}: must contain either a sonar's keys or tables, not both "
-            f"(got key {key!r} and table {next(iter(tables))!r})"
+            f"(got key {key!r} and table {table!r}{hint and '; '}{hint})"
         )
     return tables
 

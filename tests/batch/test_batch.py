@@ -51,7 +51,7 @@ from tests.support.batches import (
     write_job,
     write_plain_job,
 )
-from tests.support.command_line import WALL, run
+from tests.support.command_line import BODY, WALL, run
 
 N = 10
 
@@ -682,6 +682,47 @@ def test_warnings_of_pings_are_reported_a_tolerance_once_for_a_sonar(
         unmet.append(f"{place}the tolerance cannot be met{once}")
     assert all(texts.count(text) == 1 for text in unmet) and set(texts) == {*odd, *unmet}
     assert all(texts.count(text) == 4 for text in odd)
+
+
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_a_sonar_inside_a_body_is_reported_though_its_pings_have_no_echo(tmp_path, one_by_one):
+    path = write_job(tmp_path, 4, "")
+    path.write_text(path.read_text().replace("there = 0.8", "there = 1.0"))
+    world = BODY.format("box_1", "0 0 0", "200 200 200")
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{world}</world></sdf>')
+    batch, reports = open_batch(path, tmp_path / "out"), []
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    record = make_part(batch, 0, one_by_one=one_by_one, report=lambda *report: reports.append(report))
+    batch.close()
+    assert record.without_echo == 4
+    begins = [f"warning: {sonar} in tank.sdf: the sonar at (" for sonar in batch.requests.sonars]
+    texts = [value for kind, value in reports if kind == "warning"]
+    assert len(texts) == 2 and all(map(str.startswith, texts, begins))
+    assert all("is inside body 'box_1'" in text for text in texts)
+
+
+def test_a_ping_that_fails_has_reported_its_warnings(small, tmp_path, monkeypatch):
+    """Since the simulator may warn once, and the next try succeed."""
+    finish, calls = pipeline.finish, []
+
+    def warns_once(*values):
+        calls.append(values)
+        if len(calls) == 1:
+            warn_caller("the sonar is in the air")
+            raise RuntimeError("the first try fails")
+        return finish(*values)
+
+    for module in (sequence, pipeline):
+        monkeypatch.setattr(module, "finish", warns_once)
+    batch, reports = open_batch(small / "job.toml", tmp_path / "out"), []
+    begin(batch).save(batch.folder)
+    create_store(batch)
+    record = make_part(batch, 1, report=lambda *report: reports.append(report))
+    batch.close()
+    sonar = next(iter(batch.requests.sonars))
+    texts = [value for kind, value in reports if kind == "warning"]
+    assert not record.set_aside and texts == [f"warning: {sonar} in tank.sdf: the sonar is in the air"]
 
 
 HARD = """<model name="rod"><static>true</static><pose>3.2 1.0 0.2 0.6 0 0</pose><link name="l"><collision name="c">
@@ -1626,6 +1667,11 @@ def test_the_page_of_batches_states_the_keys_of_the_outputs():
 BAD = [
     ("seed = 5", "seed = -1", "seed: should be greater than or equal to 0 (got -1)"),
     ("seed = 5", "sead = 5", "the job: unknown key (got 'sead'; did you mean 'seed'"),
+    ("tolerance = 0.05", "tolerane = 0.05", "(got 'tolerane'; did you mean 'tolerance'?)"),
+    ("seed = 5", "where = 'x'", "the job: unknown key (got 'where'; did you mean 'water'"),
+    ('preset = "physical"', 'prest = "physical"', "noise: unknown key (got 'prest'; did you mean 'preset'?)"),
+    ('kind = "sector"', 'kid = "sector"', "poses[0]: unknown key (got 'kid'; did you mean 'kind'"),
+    ('kind = "sector"\n', "", "poses[0]: kind must be one of trajectory, lawnmower"),
     ("seed = 5", "only = []", "only: should have a length of at least 1 (got []"),
     ("seed = 5", "without = ['boat']", "without must name bodies of the scene (got 'boat';"),
     ("seed = 5", "surface_z_m = 'x'", "surface_z_m: should be a valid number (got 'x')"),

@@ -117,6 +117,26 @@ def test_no_echo_is_explained(scene):
     assert "no echo" in note
 
 
+def test_a_sonar_inside_a_body_or_in_the_air_is_told_in_each_frame_in_which_it_rests(scene):
+    """From the second ping at a place on, and in no frame of another place."""
+    ball, home = sg.pose(*BALL_M), np.eye(4)
+    with LiveSession(scene.with_surface(2.0), QUIET, ball) as session:
+        for change, pose, words in (
+            (lambda: None, ball, "is inside body 'ball'"),
+            (lambda: session.move_body("ball", None), ball, ""),
+            (lambda: session.move_body("ball", ball), ball, "is inside body 'ball'"),
+            (lambda: session.set_pose(home), home, ""),
+            (lambda: session.set_pose(sg.pose(z=3.0)), sg.pose(z=3.0), "is above the water's surface"),
+        ):
+            change()
+            session.next_frame()
+            frames = [session.next_frame() for _ in range(2)]
+            assert all(np.array_equal(frame.pose, pose) for frame in frames)
+            told = [[one for one in frame.notes if "the sonar at" in one] for frame in frames]
+            assert [len(texts) for texts in told] == [bool(words)] * 2
+            assert all(words in one for texts in told for one in texts)
+
+
 def test_polar_picture_has_port_on_the_left_and_far_ranges_at_the_top(session):
     session.change(form="polar", colormap="gray")
     frame = session.next_frame()

@@ -267,6 +267,11 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
     assert error_of(load_sonar, path) == (
         f"{path}: must contain either a sonar's keys or tables, not both (got key 'frequency_hz' and table 'a')"
     )
+    path.write_text(f"{TEXT}count = {{ law = 'db' }}\n")
+    assert error_of(load_sonar, path) == (
+        f"{path}: must contain either a sonar's keys or tables, not both "
+        "(got key 'frequency_hz' and table 'count'; did you mean 'counts'?)"
+    )
 
 
 @pytest.mark.parametrize(
