@@ -23,6 +23,7 @@ from sonar_gl.core.errors import (
 )
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
+from sonar_gl.engine.no_echo import NoEchoWarning
 from sonar_gl.imaging.fan_image import colorize, fan_image
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
@@ -380,7 +381,7 @@ class Publisher:
         if order.bodies:
             self._simulator.place(order.bodies)
         try:
-            with collected_warnings():  # a device does not say that it sees nothing
+            with collected_warnings(NoEchoWarning):  # a device does not say that it sees nothing
                 ping = self._simulator.ping(
                     pose, self._noise, settings.seed, ping_number=self._n_pings, time_s=time_ns / 1e9
                 )
@@ -402,7 +403,7 @@ class Publisher:
         Numerical kernels are compiled, samples searched and encoders of messages made before the sonar's time begins.
         """
         try:
-            with collected_warnings():
+            with collected_warnings(NoEchoWarning):
                 ping = self._simulator.ping(pose, self._noise, self.settings.seed)
             links = [self._types.transform(0, self.settings.world_frame, self.settings.frame, pose)]
             for message in (self._types.transforms(links), *dict(self._messages_of(ping, 0)).values()):

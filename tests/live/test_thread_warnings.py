@@ -101,3 +101,14 @@ def test_a_ping_in_a_thread_leaves_the_warnings_of_the_process_alone(scene, gate
         warnings.simplefilter("ignore")  # of what is made before
         make(scene, beside)
     assert (warnings.filters, warnings.showwarning) == before
+
+
+@pytest.mark.parametrize("make", [of_publisher, of_emulator])
+def test_topics_and_emulators_warn_of_a_sonar_in_the_air(make):
+    """Not of a ping without an echo, as that of the emulator here, since a device does not say that it sees nothing."""
+    wall = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(5))
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("always")
+        make(sg.Scene([wall], sg.pose(), surface_z_m=-1.0), lambda work: work())
+    (told,) = (str(one.message) for one in shown)
+    assert told.startswith("the sonar at z = 0 m is above the water's surface at z = -1 m")

@@ -8,6 +8,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.warn import collected_warnings
+from sonar_gl.engine.no_echo import NoEchoWarning
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.simulators import SimulatorPool
 from sonar_gl.noise.settings import Noise
@@ -61,7 +62,7 @@ class SimulatedHead:
         pose = self.track.at(time_s)
         pose = pose if turn is None else pose @ turn
         simulator = self._simulators.simulator(sonar, acoustics, self._tolerance)
-        with collected_warnings():  # a device does not say that it sees nothing
+        with collected_warnings(NoEchoWarning):  # a device does not say that it sees nothing
             ping = simulator.ping(pose, self._noise, self._seed, ping_number=number, time_s=time_s)
         return replace(ping, sonar=sonar)
 
