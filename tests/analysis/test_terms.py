@@ -161,6 +161,21 @@ def test_no_cost_is_negative(monkeypatch):
     assert min(costs) == 0.0
 
 
+def test_only_named_terms_are_timed():
+    """All are judged, so that what is needed does not depend on the names; each one that is timed makes pings."""
+    asked, found = {}, {}
+    for timed in (None, (), ("pulse", "bubbles")):  # the room has no bubbles
+        events = []
+        found[timed] = priced(room(), 0.1, before_ping=lambda: events.append(0), timed=timed)
+        asked[timed] = len(events)
+    assert asked[("pulse", "bubbles")] == asked[()] + 2  # a ping without the pulse, and one with everything on
+    acting = sum(one.changes > 0 or one.changed_bins > 0 for one in found[None].values())
+    assert asked[None] == asked[()] + acting + 1
+    assert all(one.time_ms == 0 for name, one in found["pulse", "bubbles"].items() if name != "pulse")
+    for some in found.values():
+        assert {name: replace(one, time_ms=0.0) for name, one in some.items()} == found[()]
+
+
 @pytest.mark.slow
 def test_the_pricing_asks_before_each_ping_and_ends_where_that_raises(monkeypatch):
     events, ping, plan = [], sg.Simulator.ping, sg.Simulator.plan

@@ -273,7 +273,10 @@ def test_every_term_has_its_row_in_each_table_of_the_ablation():
     assert set(tables) == {*ablation.SCENES, "cost"}
     for name in ablation.SCENES:
         rows = re.findall(r"^\| ([\w -]+) \|", tables[name], re.MULTILINE)
-        assert rows == ["without", *(term.name for term in TERMS)], name
+        assert rows == ["without", *(term.name for term in TERMS)], (
+            f'table {name} of docs/ablation.md must have a row for each of TERMS: run "python -m tools.docs.ablation '
+            '--only TERM" with the name of a term that is new'
+        )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
