@@ -8,9 +8,9 @@
 A picture shows the image with everything on, then for some terms the image with everything on minus the image
 without that term, both without noise, with the samples that tolerance 0.01 asks for with everything on.
 
-With --only, which may be repeated, all other rows keep their costs, which vary from run to run and from machine to machine.
-Pictures stay where the terms change nothing. Where a term without a row changes the image, with everything on it is another
-one, so that all rows are measured anew.
+With --only, which may be repeated, all other rows keep their costs, which vary from run to run and between machines.
+Pictures stay where the terms change nothing. Where a term without a row changes the image, everything on is another
+image, so that all rows are measured anew.
 """
 
 from __future__ import annotations
