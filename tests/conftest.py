@@ -10,12 +10,15 @@ from pathlib import Path
 import moderngl
 import pytest
 
+from sonar_gl.core.compiled import announce_compilation
 from tests.support.kernels import compile_kernels
 
 ROOT = Path(__file__).resolve().parents[1]
 
 # a shell has what it runs in the background ignore Ctrl-C, which some tests send to commands, in this process or others
 signal.signal(signal.SIGINT, signal.default_int_handler)
+# commands run in this process, too, and which test compiles a kernel first depends on those that were chosen
+announce_compilation(False)
 
 
 def pytest_sessionstart(session):

@@ -874,7 +874,9 @@ def main() -> int:
     if args.record and (args.only == "*" or not record["digests"]):
         record = {"machine": machine, "digests": {}}
     elif args.record and other:
-        parser.error("a record of another machine must be made anew as a whole; leave out --only")
+        parser.error(
+            f"a record of another machine must be made anew; leave out --only, or delete {RECORD} first"
+        )
     for key, (then, now) in sorted(other.items()) if not args.record else ():
         print(f"ANOTHER MACHINE: {key} was {then!r} and is {now!r}; bits may differ for that alone")
 

@@ -1666,8 +1666,8 @@ MUTATIONS = (
     ),
     Mutation(
         "sequence/labels of small pings",
-        "has_more = has_lobes or has_water or received.labels is not None or received.multipath is not None",
-        "has_more = has_lobes or has_water or received.multipath is not None",
+        "has_more = has_lobes or has_echoes or received.labels is not None",
+        "has_more = has_lobes or has_echoes",
         ("test_sequence",),
     ),
     Mutation(

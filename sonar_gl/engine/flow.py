@@ -189,6 +189,16 @@ class ReceivedPing:
     texture: BeamEcho | None = None
 
     @property
+    def of_water(self) -> list[BeamEcho]:
+        """Echoes of no body, beside which weaker bodies have no labels: those of the water and of its surface."""
+        return [echo for echo in (self.volume, self.surface) if echo is not None]
+
+    @property
+    def others(self) -> list[BeamEcho]:
+        """All echoes but the direct one, in the order in which they are added to it."""
+        return self.of_water if self.multipath is None else [self.multipath, *self.of_water]
+
+    @property
     def total(self) -> float:
         """The sum of the echo of surfaces, bodies' and the water's, and bubbles, also by way of reflectors."""
         others = self.multipath, self.surface

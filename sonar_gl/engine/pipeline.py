@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 
@@ -238,21 +238,20 @@ def further_states(setup: PingSetup) -> FurtherStates:
 
 def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> ReceivedPing:
     """Sum the echoes of a ping other than its direct one."""
-    volume, surface = receive_volume(drawn), receive_surface(drawn)
-    if labels is not None:
-        of_water = [echo.intensity for echo in (volume, surface) if echo is not None]
-        if of_water:
-            labels = without_weaker(labels, direct.intensity, np.sum(of_water, axis=0))
-    return ReceivedPing(
+    received = ReceivedPing(
         drawn,
         direct,
         multipath=receive_multipath(drawn),
         labels=labels,
-        volume=volume,
-        surface=surface,
+        volume=receive_volume(drawn),
+        surface=receive_surface(drawn),
         lobes=receive_part(drawn, drawn.further.lobes),
         texture=receive_part(drawn, drawn.further.texture),
     )
+    if labels is None or not received.of_water:
+        return received
+    of_water = np.sum([echo.intensity for echo in received.of_water], axis=0)
+    return replace(received, labels=without_weaker(labels, direct.intensity, of_water))
 
 
 def receive_multipath(drawn: DrawnPing) -> BeamEcho | None:
@@ -311,8 +310,7 @@ def labels_of_all_echo(received: ReceivedPing) -> Labels | None:
 
     Call it before `filtered_powers`, which adds the other echoes to the direct one in place.
     """
-    labels, others = received.labels, (received.multipath, received.volume, received.surface)
-    more = [echo.intensity for echo in others if echo is not None and echo.total]
+    labels, more = received.labels, [echo.intensity for echo in received.others if echo.total]
     if labels is None or not more:
         return labels
     return of_all_echo(labels, received.direct.intensity, sum(more[1:], more[0]))
@@ -331,8 +329,7 @@ def filtered_powers(received: ReceivedPing, thread: SecondThread | None) -> dict
             return None
         return echo.intensity if setup.pulse is None else matched_filter(echo.intensity, setup.pulse, thread)
 
-    echo = received.direct.with_more(received.multipath).with_more(received.volume)
-    intensity = filtered(echo.with_more(received.surface))
+    intensity = filtered(reduce(BeamEcho.with_more, received.others, received.direct))
     coherent, texture = filtered(received.lobes), filtered(received.texture)
     # where the water has few scatterers, speckle needs their echo by itself
     volume = None if setup.acoustics.scatterer_density_m3 is None else filtered(received.volume)

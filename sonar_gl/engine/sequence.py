@@ -148,8 +148,8 @@ class _Upcoming:
     def review_size(self, received: ReceivedPing) -> None:
         """Take the next pings to be as small, or not, as one that was received."""
         view, has_lobes = received.drawn.view, received.lobes is not None or received.texture is not None
-        has_water = received.volume is not None or received.surface is not None or view.bubbles is not None
-        has_more = has_lobes or has_water or received.labels is not None or received.multipath is not None
+        has_echoes = bool(received.others) or view.bubbles is not None
+        has_more = has_lobes or has_echoes or received.labels is not None
         self.are_small = not has_more and view.n_samples < FEW_SAMPLES
 
     def leave(self, pings: Sequence[_TakenPing]) -> None:

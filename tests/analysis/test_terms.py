@@ -2,6 +2,7 @@
 
 import doctest
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -159,6 +160,22 @@ def test_no_cost_is_negative(monkeypatch):
     monkeypatch.setattr(terms, "time", Clock())
     costs = [one.time_ms for one in priced(room()).values()]
     assert min(costs) == 0.0
+
+
+def test_only_named_terms_are_timed():
+    """All are judged, so that what is needed does not depend on the names; each one that is timed makes pings."""
+    asked, found = {}, {}
+    for timed in (None, (), ("pulse", "bubbles")):  # the room has no bubbles
+        events = []
+        ask = partial(events.append, "asked")
+        found[timed] = priced(room(), 0.1, before_ping=ask, timed=timed)
+        asked[timed] = len(events)
+    assert asked["pulse", "bubbles"] == asked[()] + 1  # before two pings without the pulse
+    acting = sum(one.changes > 0 or one.changed_bins > 0 for one in found[None].values())
+    assert asked[None] == asked[()] + acting
+    assert all(one.time_ms == 0 for name, one in found["pulse", "bubbles"].items() if name != "pulse")
+    for some in found.values():
+        assert {name: replace(one, time_ms=0.0) for name, one in some.items()} == found[()]
 
 
 @pytest.mark.slow

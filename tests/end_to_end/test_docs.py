@@ -250,7 +250,8 @@ def test_options_exist(page):
     for command in (*commands, *cli.main.commands["emulate"].commands.values()):
         known |= {option for parameter in command.params for option in parameter.opts}
     outside_blocks = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
-    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", outside_blocks)) <= known
+    unknown = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", outside_blocks)) - known
+    assert unknown == set(), "outside of blocks pages name options of sonar-gl alone, as its help has them"
 
 
 def test_every_command_is_told_in_the_readme():
@@ -273,7 +274,10 @@ def test_every_term_has_its_row_in_each_table_of_the_ablation():
     assert set(tables) == {*ablation.SCENES, "cost"}
     for name in ablation.SCENES:
         rows = re.findall(r"^\| ([\w -]+) \|", tables[name], re.MULTILINE)
-        assert rows == ["without", *(term.name for term in TERMS)], name
+        assert rows == ["without", *(term.name for term in TERMS)], (
+            f'table {name} of docs/ablation.md must have a row for each of TERMS: run "python -m tools.docs.ablation '
+            '--only TERM" with the name of a term that is new'
+        )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -472,7 +476,9 @@ def test_names_and_shapes_of_an_npz_are_those_of_the_page():
 
     with np.load("diver.npz") as file:
         fields = {name: shape(file[name]) for name in file.files if name != "meta"}
-    assert told == {**fields, "meta": "JSON text"}
-    assert set(told) == set(NPZ_FIELDS)
+    assert told == {**fields, "meta": "JSON text"}, (
+        'the table of docs/conventions.md, "Files", must have a row for each field of an NPZ file'
+    )
+    assert set(told) == set(NPZ_FIELDS), "a field of Ping that this ping lacks needs a ping here that has it"
     sentence = page[page.index("`meta` has") : page.index("; `time_s` and `velocity`")]
     assert set(re.findall(r"`(\w+)`", sentence)) - {"meta"} == set(ping.meta)

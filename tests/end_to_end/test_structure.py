@@ -37,6 +37,18 @@ def name_of(path):
     return path.relative_to(ROOT).as_posix()
 
 
+def check_exceptions(name, listed, found, cure):
+    """Check that the exceptions of a list are those that were found.
+
+    name : of the list; cure : what is to be done with others, or function of one that returns it
+    """
+    wrong = [f"{one}: {cure if isinstance(cure, str) else cure(one)}" for one in sorted(found - listed)]
+    wrong += [
+        f"{one}: delete it from {name}, since it is not needed any more" for one in sorted(listed - found)
+    ]
+    assert wrong == [], "\n".join([f"what {name} lists must be what the files have:", *wrong])
+
+
 # Private names of libraries, for which there is no public one: what is read: why.
 OF_LIBRARIES = {
     "os._exit": "ends a process without running what its parent set up",
@@ -71,7 +83,7 @@ def private_uses(path):
 def test_nothing_reaches_into_other_objects(folders):
     found = {(name_of(path), use) for path in sources(*folders) for use in private_uses(path)}
     found = {(name, use) for name, use in found if use not in OF_LIBRARIES}
-    assert found == set(), "give these public names"
+    assert found == set(), "give these public names; what a library keeps private goes into OF_LIBRARIES"
 
 
 def hidden_imports(path):
@@ -112,8 +124,8 @@ def imports_by_name(path):
 def test_modules_of_the_package_are_not_imported_by_name():
     found = {name_of(path): list(imports_by_name(path)) for path in sources(*PACKAGE)}
     found = {name: calls for name, calls in found.items() if calls and name != "sonar_gl/__init__.py"}
-    assert set(found) == set(BY_NAME)
-    assert not any("sonar_gl" in call for calls in found.values() for call in calls)
+    check_exceptions("BY_NAME", set(BY_NAME), set(found), "import libraries at the top")
+    assert not any("sonar_gl" in call for calls in found.values() for call in calls), found
 
 
 # Old words: what each is called now. A pattern is matched with whole words in small letters; `is_heard`, `HEARD` and
@@ -246,16 +258,32 @@ def test_old_words_are_found_in_names_and_stems():
     assert found.isdisjoint({"hear", "door", "ung"})
 
 
-def check_quoted(found, what, quotable):
-    """Check that (file, word) were found where they are quoted, and nowhere else."""
+def check_quoted(found, quotable, cure):
+    """Check that (file, word) were found where they are quoted, and nowhere else.
+
+    quotable : function of a word, whether it is of this kind; cure : function of a word, what to do with it elsewhere
+    """
     quoted = {(name, word) for name, words in QUOTED.items() for word in words if quotable(word)}
-    assert found == quoted, what
+    check_exceptions("QUOTED", quoted, found, lambda one: cure(one[1]))
+
+
+def test_a_wrong_exception_says_what_to_do():
+    """A list that did not fit raised an AssertionError with two sets, and left open which of them was to change."""
+    with pytest.raises(AssertionError) as raised:
+        check_exceptions("LIST", {"a", "c"}, {"b", "c"}, "import it")
+    told = [line.strip() for line in str(raised.value).splitlines()[1:3]]
+    assert told == ["b: import it", "a: delete it from LIST, since it is not needed any more"]
+
+
+def now_called(word):
+    """What REMOVED_WORDS says in place of an old word."""
+    return next(now for pattern, now in REMOVED_WORDS.items() if re.fullmatch(pattern, word))
 
 
 def test_old_words_stay_out():
     is_old = re.compile("|".join(REMOVED_WORDS)).fullmatch
     found = {(name_of(path), word) for path in texts() for word in words_in(text_of(path)) if is_old(word)}
-    check_quoted(found, "REMOVED_WORDS has what these are called now", is_old)
+    check_quoted(found, is_old, lambda word: f"write {now_called(word)!r}, by REMOVED_WORDS")
 
 
 def test_old_names_stay_out():
@@ -263,7 +291,7 @@ def test_old_names_stay_out():
     old = set(REMOVED_NAMES)
     suspects = [path for path in texts() if path.suffix in CODE and old & identifiers_of(path)]
     found = {(name_of(path), name) for path in suspects for name in old & names_of(path)}
-    check_quoted(found, "REMOVED_NAMES has what these are called now", old.__contains__)
+    check_quoted(found, old.__contains__, lambda name: f"write {REMOVED_NAMES[name]!r}, by REMOVED_NAMES")
 
 
 def missing_names(text):
@@ -297,7 +325,7 @@ def identifiers_of(path):
 
 def test_modules_and_files_that_are_named_exist():
     missing = {(name_of(path), name) for path in texts() for name in missing_names(text_of(path))}
-    check_quoted(missing, "these were moved or removed", lambda word: "/" in word)
+    check_quoted(missing, lambda word: "/" in word, lambda _: "name what exists: it was moved or removed")
 
 
 COMPILED = {"compiled", "rounded_alike", "uncounted", "inlined"}
@@ -363,4 +391,4 @@ def test_a_constant_is_defined_once():
         for name, value in constants_of(path, several) if several & capitals_of(path) else ():
             places.setdefault((name, value), []).append(name_of(path))
     found = {key: names for key, names in places.items() if len(names) > 1}
-    assert found == {}, "import these from one module"
+    assert found == {}, "import these from one module, or explain in OF_ONE_NAME why they differ in meaning"

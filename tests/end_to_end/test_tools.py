@@ -22,6 +22,7 @@ from tools import drivers, internals
 from tools.bench import harness
 from tools.bench.harness import Aim, Contender
 from tools.chart.front import by_scene
+from tools.docs.ablation import keep_rows
 from tools.docs.pages import fill_printed, put_table
 from tools.mutations import MUTATIONS
 
@@ -149,6 +150,15 @@ def test_a_table_replaces_that_between_its_marks(tmp_path):
     )
     with pytest.raises(SystemExit, match=r"must have the line '<!-- table c -->'"):
         put_table(page, "c", "new")
+
+
+def test_a_term_gets_its_row_and_the_others_keep_theirs():
+    head = "| without | cost, ms |\n|---|---|\n"
+    standing = f"of then\n\n{head}| a | 1.0 |\n| of old | 4.0 |\n| b-c | 2.0 |"
+    found = f"of now\n\n{head}| a | 1.5 |\n| new | - |\n| b-c | 2.5 |"
+    assert keep_rows(found, standing, {"a", "new"}) == (
+        f"of then\n\n{head}| a | 1.5 |\n| new | - |\n| b-c | 2.0 |"
+    )
 
 
 def test_a_scene_is_a_row_with_both_widths_of_beams():
@@ -397,6 +407,23 @@ def test_ablation():
         rtol=0.1,
         atol=0.01,
     )
+
+
+@pytest.mark.slow
+def test_ablation_of_terms_without_rows():
+    """One that changes nothing gets its row alone; one that acts changes what everything on is, and so all rows."""
+    published = (ROOT / "docs" / "ablation.md").read_text(encoding="utf-8")
+    Path("docs", "pictures").mkdir(parents=True)
+    page = Path("docs", "ablation.md")
+    page.write_text(re.sub(r"^\| multipath \|.*\n", "", published, flags=re.MULTILINE), encoding="utf-8")
+    run("tools.docs.ablation", "pylon", "tank", "--only", "bubbles", "--docs", "docs")
+    tables = [
+        dict(re.findall(r"<!-- table (\w+) -->\n(.*?)\n<!-- end -->", text, re.DOTALL))
+        for text in (page.read_text(encoding="utf-8"), published)
+    ]
+    assert tables[0]["pylon"] == tables[1]["pylon"]
+    assert re.search(r"^\| multipath \| 16 % ", tables[0]["tank"], re.MULTILINE)
+    assert [path.name for path in Path("docs", "pictures").iterdir()] == ["ablation_tank.png"]
 
 
 @pytest.mark.slow

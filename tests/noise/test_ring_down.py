@@ -48,11 +48,15 @@ def test_it_is_steady_has_no_speckle_and_leaves_the_other_terms_as_they_are(spec
         np.testing.assert_allclose(added, np.tile(10 ** (1 - 2 * ping.range_m), (16, 1)), atol=0.2 * EPSILON)
 
 
+def test_no_preset_has_a_ring_down():
+    ringing = [name for name, sonar in presets().items() if sonar.ring_down_db is not None]
+    assert ringing == [], "name a preset here whose document states its ringing"
+
+
 def test_it_is_self_noise_and_of_sonars_that_state_it():
     ping = ringing_ping()
     assert add_noise(ping, sg.Noise(speckle=True), seed=1).intensity.max() == 0
     assert ring_down_power(ping.range_m, None, None) is None
-    assert all(sonar.ring_down_db is None for sonar in presets().values())
     assert sg.load_sonar("p900-45,ring_down_db=-5").ring_down_db == -5
     with pytest.raises(Error, match="ring_down_decay_db_m must lie in"):
         sg.load_sonar("p900-45,ring_down_db=0,ring_down_decay_db_m=0")

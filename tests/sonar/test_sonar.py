@@ -29,14 +29,14 @@ TEXT = "\n".join(f"{key} = {value}" for key, value in KEYS.items()) + "\n"
 @pytest.mark.parametrize("name", presets())
 def test_presets_are_complete_and_plausible(name):
     sonar = load_sonar(name)
-    assert sonar.name == name == name.lower()
-    assert len(sonar.source) > 40
-    # no device has more
-    assert sonar.n_bins <= 5000 and sonar.n_beams <= 1024
-    assert 0 < sonar.range_min_m < sonar.range_max_m <= 50
-    # a bin is the resolution of the device: a whole number of tenths of a millimetre
+    assert sonar.name == name == name.lower(), "its heading must be in lower case"
+    assert len(sonar.source) > 40, "`source` must name a document"
+    assert sonar.n_bins <= 5000 and sonar.n_beams <= 1024, "no device has more"
+    assert 0 < sonar.range_min_m < sonar.range_max_m <= 50, "range_max_m must be a usual first setting"
     tenths = sonar.bin_size_m * 1e4
-    assert sonar.keeps_n_bins or tenths == pytest.approx(round(tenths), abs=1e-6)
+    assert sonar.keeps_n_bins or tenths == pytest.approx(round(tenths), abs=1e-6), (
+        "a bin is the resolution of the device, in tenths of a millimetre: choose range_max_m and n_bins by it"
+    )
     # imaging sonars form beams that touch or overlap (the DIDSON's: 29/96 = 0.302 for a nominal 0.3), except for those
     # with a lens at the lower frequency, which use every other element
     has_gaps = sonar.azimuth_fov_deg / sonar.n_beams > sonar.beam_width_deg * 1.01
@@ -49,9 +49,11 @@ def test_the_limit_of_the_range_is_the_one_that_the_source_of_a_preset_states():
     assert without == ["demarco-2015"], "a device has a range_limit_m"  # that one is simulated
     for name, sonar in presets().items():
         if name not in without:
-            assert sonar.range_max_m <= sonar.range_limit_m
+            assert sonar.range_max_m <= sonar.range_limit_m, name
             # such as "2-100 m", "up to 200 m"; widths in degrees and resolutions have other units
-            assert re.search(rf"(?<![\d.]){sonar.range_limit_m:g} m\b", sonar.source), name
+            assert re.search(rf"(?<![\d.]){sonar.range_limit_m:g} m\b", sonar.source), (
+                f"{name}: `source` must have the range_limit_m as the document writes it, {sonar.range_limit_m:g} m"
+            )
 
 
 @pytest.mark.parametrize(("name", "fov", "n_beams"), [("45", 45, 256), ("90", 90, 512), ("130", 130, 768)])

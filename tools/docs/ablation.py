@@ -2,15 +2,21 @@
 
     python -m tools.docs.ablation               # writes the tables of docs/ablation.md, and its pictures
     python -m tools.docs.ablation pylon tank    # of these scenes alone
+    python -m tools.docs.ablation --only bubbles     # the rows of this term, and of terms that have none yet
     python -m tools.docs.ablation --cost        # what multipath costs over one more ping; writes that table
 
 A picture shows the image with everything on, then for some terms the image with everything on minus the image
 without that term, both without noise, with the samples that tolerance 0.01 asks for with everything on.
+
+With --only, which may be repeated, all other rows keep their costs, which vary from run to run and between machines.
+Pictures stay where the terms change nothing. Where a term without a row changes the image, everything on is another
+image, so that all rows are measured anew.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +33,7 @@ from tools import internals
 from tools.bench import harness
 from tools.bench.harness import Contender
 from tools.chart import scenes
-from tools.docs.pages import DOCS, put_table
+from tools.docs.pages import DOCS, find_table, put_table
 from tools.pictures import write_small_png
 
 SCENES = {
@@ -77,6 +83,39 @@ def table(prices) -> str:
             for one in prices
         ]
     )
+
+
+def rows_of(text: str) -> dict[str, str]:
+    """Return the rows of a table, by the names of their terms."""
+    return {found[1]: found[0] for found in re.finditer(r"^\| ([\w -]+) \|.*$", text, re.MULTILINE)}
+
+
+def keep_rows(text: str, standing: str, names) -> str:
+    """Return a table with the rows of some terms; those of others, and the line above, are those of a standing one."""
+    kept = {name: row for name, row in rows_of(standing).items() if name not in names}
+    rows = [kept.get(name, row) for name, row in rows_of(text).items()]
+    head, lines = standing.partition("\n")[0], text.split("\n")
+    rows.insert(1, lines[3])  # the rule below the head
+    return "\n".join([head, "", *rows])
+
+
+def measure(name: str, standing: str = "", only=()) -> tuple[str, bool]:
+    """Return the table of a scene, and whether its picture is to be drawn.
+
+    standing : the table whose rows stay, but for those of the terms `only` and those that it lacks; empty for none
+    """
+    scene, sonar = setting(name)
+    kept = rows_of(standing).keys() - set(only)
+    with sg.Simulator(scene, sonar) as simulator:
+        renderer = simulator.gl_info["renderer"]
+        prices = price(simulator, sonar, TOLERANCE, timed={term.name for term in TERMS} - kept)
+        new = [one for one in prices if one.name not in rows_of(standing)]
+        if kept and any(one.changes for one in new):
+            kept, prices = set(), price(simulator, sonar, TOLERANCE)
+    bodies = f"{sonar.name}, {sonar.n_beams} beams x {sonar.n_bins} bins to {sonar.range_max_m:g} m"
+    text = f"{bodies}; times on {renderer}.\n\n{table(prices)}"
+    is_other = any(one.changes for one in prices if one.name not in kept)
+    return keep_rows(text, standing, {one.name for one in prices} - kept) if kept else text, is_other
 
 
 def means(scene, sonar) -> tuple:
@@ -174,6 +213,14 @@ def main():
         prog="python -m tools.docs.ablation", description=__doc__.partition("\n")[0]
     )
     parser.add_argument("scenes", nargs="*", metavar="scene", help=f"of {', '.join(SCENES)}; default: all")
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        choices=[term.name for term in TERMS],
+        metavar="TERM",
+        help="only the rows of this term, and of terms that have none; may be repeated",
+    )
     parser.add_argument("--cost", action="store_true", help="only what multipath costs over a ping")
     parser.add_argument("--docs", type=Path, default=DOCS, help="folder of ablation.md and pictures")
     options = parser.parse_args()
@@ -186,16 +233,13 @@ def main():
             lines.append(cost(name))
             print(lines[-1])
             continue
-        scene, sonar = setting(name)
-        with sg.Simulator(scene, sonar) as simulator:
-            renderer = simulator.gl_info["renderer"]
-            prices = price(simulator, sonar, TOLERANCE)
-        bodies = f"{sonar.name}, {sonar.n_beams} beams x {sonar.n_bins} bins to {sonar.range_max_m:g} m"
-        text = f"{bodies}; times on {renderer}.\n\n{table(prices)}"
+        text, is_other = measure(name, find_table(path, name)[1] if options.only else "", options.only)
         print(f"{name}: {text}\n")
         put_table(path, name, text)
+        if not is_other:
+            continue
         drawn = options.docs / "pictures" / f"ablation_{name}.png"
-        write_small_png(drawn, Image.fromarray(picture(scene, sonar)))
+        write_small_png(drawn, Image.fromarray(picture(*setting(name))))
         print(f"{drawn.name}: {drawn.stat().st_size / 1e3:.0f} kB\n")
     if options.cost and not options.scenes:
         put_table(path, "cost", "```text\n" + "\n".join(lines) + "\n```")

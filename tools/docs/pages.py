@@ -28,16 +28,21 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 PRINTED = re.compile(r"(```sh\npython (-m tools\.[^\n#]+)\n```\n\n```text\n)(.*?)(\n```\n)", re.DOTALL)
 
 
-def put_table(path: Path, name: str, text: str):
-    """Replace what stands between the marks `<!-- table NAME -->` and `<!-- end -->` of a page."""
-    page = path.read_text(encoding="utf-8")
+def find_table(path: Path, name: str) -> re.Match:
+    """Return a match of the marks `<!-- table NAME -->` and `<!-- end -->` of a page; its group is the text between."""
     first, last = f"<!-- table {name} -->\n", "\n<!-- end -->"
-    pattern = re.compile(re.escape(first) + ".*?" + re.escape(last), re.DOTALL)
-    if not pattern.search(page):
-        raise SystemExit(
-            f"{path} must have the line {first.strip()!r}, and a later {last.strip()!r} (got neither, or one)"
-        )
-    path.write_text(pattern.sub(lambda _: first + text + last, page, count=1), encoding="utf-8")
+    pattern = re.compile(f"{re.escape(first)}(.*?){re.escape(last)}", re.DOTALL)
+    if found := pattern.search(path.read_text(encoding="utf-8")):
+        return found
+    raise SystemExit(
+        f"{path} must have the line {first.strip()!r}, and a later {last.strip()!r} (got neither, or one)"
+    )
+
+
+def put_table(path: Path, name: str, text: str):
+    """Replace what stands between the marks of a table of a page."""
+    found = find_table(path, name)
+    path.write_text(found.string[: found.start(1)] + text + found.string[found.end(1) :], encoding="utf-8")
 
 
 def fill_printed(path: Path, only: str = ""):
