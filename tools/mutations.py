@@ -1611,6 +1611,12 @@ MUTATIONS = (
         ("test_adaptive::test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples",),
     ),
     Mutation(
+        "kernels/whole numbers of a sonar",
+        "float(sonar.range_min_m), float(sonar.range_max_m), sonar.bin_size_m",
+        "sonar.range_min_m, sonar.range_max_m, sonar.bin_size_m",
+        ("test_simulator::test_whole_numbers_of_a_sonar_compile_nothing_more",),
+    ),
+    Mutation(
         "sonar inside a body/later pings",
         "self._has_looked = True",
         "self._has_looked = False",
