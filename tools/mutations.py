@@ -1778,9 +1778,15 @@ MUTATIONS = (
     ),
     Mutation(
         "batch/hull that the job moves",
-        "model is not None and not matching_names(moved, [model, *scene.parts_of(model)])",
+        "model is not None and not matching_names(moved, [model, *parts])",
         "model is not None",
         ("test_batch::test_a_hull_that_stays_behind_is_warned_of",),
+    ),
+    Mutation(
+        "batch/scenes loaded for their hulls",
+        "if index not in self._vehicles:",
+        "if True:",
+        ("test_batch::test_hulls_are_known_of_scenes_that_were_loaded",),
     ),
     Mutation(
         "render/hull that stays behind",
