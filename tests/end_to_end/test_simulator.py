@@ -12,6 +12,7 @@ import time
 import warnings
 import weakref
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -1000,10 +1001,29 @@ def test_the_first_ping_of_a_sonar_inside_a_body_warns():
         for one in caught:
             assert str(one.message) == (
                 "the sonar at (0, 0, 0) m is inside body 'ball', or below it if it is a terrain, and sees what no "
-                "sonar does from there; give it another pose, or have the body absent in its pings "
-                "(Simulator.ping(bodies=...))"
+                "sonar does from there; give it another pose, have the body absent in its pings "
+                "(Simulator.ping(bodies=...)), or, if it is a tank, turn its faces to the inside (mesh.invert())"
             )
             assert one.filename == __file__
+
+
+def test_a_tank_whose_faces_look_inside_looks_alike_without_a_warning():
+    """As the warning of a sonar inside a body says: a box is often meant as a tank."""
+    box, turned = (trimesh.creation.box((12, 8, 6)) for _ in range(2))
+    turned.invert()
+    pings = []
+    for mesh, expected in (
+        (box, pytest.warns(UserWarning, match="if it is a tank")),
+        (turned, nullcontext()),
+    ):
+        scene = sg.Scene([sg.Body("tank", mesh)])
+        with (
+            sg.Simulator(scene, sg.load_sonar("p900-45"), sampling=sg.Sampling(1, 20)) as simulator,
+            expected,
+        ):
+            pings.append(simulator.ping(sg.pose(pitch=0.2)))
+    assert pings[0].intensity.any()
+    np.testing.assert_array_equal(pings[0].intensity, pings[1].intensity)
 
 
 def test_whole_numbers_of_a_sonar_compile_nothing_more():
