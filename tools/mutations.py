@@ -1623,6 +1623,12 @@ MUTATIONS = (
         ("test_adaptive::test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples",),
     ),
     Mutation(
+        "kernels/whole numbers of a sonar",
+        "float(sonar.range_min_m), float(sonar.range_max_m), sonar.bin_size_m",
+        "sonar.range_min_m, sonar.range_max_m, sonar.bin_size_m",
+        ("test_simulator::test_whole_numbers_of_a_sonar_compile_nothing_more",),
+    ),
+    Mutation(
         "sonar inside a body/later pings",
         "self._has_looked = True",
         "self._has_looked = False",
@@ -1784,9 +1790,15 @@ MUTATIONS = (
     ),
     Mutation(
         "batch/hull that the job moves",
-        "model is not None and not matching_names(moved, [model, *scene.parts_of(model)])",
+        "model is not None and not matching_names(moved, [model, *parts])",
         "model is not None",
         ("test_batch::test_a_hull_that_stays_behind_is_warned_of",),
+    ),
+    Mutation(
+        "batch/scenes loaded for their hulls",
+        "if index not in self._vehicles:",
+        "if True:",
+        ("test_batch::test_hulls_are_known_of_scenes_that_were_loaded",),
     ),
     Mutation(
         "render/hull that stays behind",

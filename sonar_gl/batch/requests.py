@@ -146,6 +146,7 @@ class BatchRequests(Sequence):
         _check_last_time(job, self.runs[-1])
         self._starts = [run.numbers.start for run in self.runs]
         self._scenes, self._moved_names, self._apart_groups, self._files = {}, {}, {}, {}
+        self._vehicles: dict[int, tuple[str | None, list[str]]] = {}  # of each scene, and what is in it
         self._check_names_of_bodies()
 
     def _load_trajectory(self, index: int) -> Trajectory:
@@ -190,9 +191,10 @@ class BatchRequests(Sequence):
         """Yield a sentence about each scene in which the sonars leave the hull of their vehicle behind."""
         moved = [pattern for table in self.job.vary.bodies for pattern in table.names]
         for index, name in enumerate(self.job.scenes):
-            scene = self.scene(index)
-            model = scene.vehicle()
-            if model is not None and not matching_names(moved, [model, *scene.parts_of(model)]):
+            if index not in self._vehicles:
+                self.scene(index)
+            model, parts = self._vehicles[index]
+            if model is not None and not matching_names(moved, [model, *parts]):
                 place = f"{self.job.where}: scenes[{index}], {name!r}"
                 yield f'warning: {place}: {hull_text(model)} (leave it out: without = ["{model}*"])'
 
@@ -290,6 +292,8 @@ class BatchRequests(Sequence):
             scene = scene.with_surface(job.surface_z_m)
         while len(self._scenes) > 1:
             self._scenes.pop(next(iter(self._scenes)))
+        vehicle = scene.vehicle()
+        self._vehicles[index] = vehicle, list(scene.parts_of(vehicle))
         self._scenes[index] = scene
 
     def _check_names_of_bodies(self) -> None:

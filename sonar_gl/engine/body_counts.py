@@ -56,7 +56,7 @@ def count_bodies(
         return BodyCounts(*np.zeros((5, n)))
     samples = CountedSamples(view.plane_echo, view.body_id, view.table, is_counted, every)
     weights = EchoWeights(
-        sonar.range_min_m, 1.0 / sonar.bin_size_m, reception.gain, reception.elevation_table
+        float(sonar.range_min_m), 1.0 / sonar.bin_size_m, reception.gain, reception.elevation_table
     )
     totals = BodyTotals(*np.zeros((6, n)))
     count_samples(tuple(samples), tuple(reception.parts), tuple(weights), tuple(totals))

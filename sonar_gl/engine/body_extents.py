@@ -170,7 +170,8 @@ def _limits_of(reception: Reception) -> tuple:
     """Return from where a sonar receives, as `_fill_greatest` takes it."""
     sonar = reception.sonar
     half_azimuth_rad = math.radians(sonar.azimuth_fov_deg) / 2 + reception.reach_rad
-    ranges_m = sonar.range_min_m, sonar.range_max_m, sonar.bin_size_m
+    # those of a sonar may be whole numbers, for which the function would be compiled once more
+    ranges_m = float(sonar.range_min_m), float(sonar.range_max_m), sonar.bin_size_m
     return *ranges_m, half_azimuth_rad, reception.max_elevation_rad, reception.are_cones
 
 

@@ -387,7 +387,7 @@ class ImageSources:
         view, index, direct : of the sonar
         """
         step = max(1, math.isqrt(sum(one.body_id.size for one in view.sectors) // EXPECTED))
-        range_max_m, pattern = stage.fan.sonar.range_max_m, stage.beamformer.elevation_table
+        range_max_m, pattern = float(stage.fan.sonar.range_max_m), stage.beamformer.elevation_table
         sums = np.zeros((len(planes), 4, len(direct.samples)))
         for one in view.sectors:
             if not one.plane_echo.size:  # no body lies in it
@@ -422,7 +422,7 @@ class ImageSources:
             planes,
             np.array([one.body is not None for one in found]),
             np.array([one.reflection_coefficient for one in found]),
-            stage.fan.sonar.range_max_m,
+            float(stage.fan.sonar.range_max_m),
             stage.beamformer.elevation_table,
             reflected,
         )

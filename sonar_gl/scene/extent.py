@@ -101,7 +101,8 @@ def inside_text(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, 
     at = ", ".join(f"{number:.4g}" for number in place)
     return (
         f"the sonar at ({at}) m is inside body {name!r}, or below it if it is a terrain, and sees what no sonar does "
-        "from there; give it another pose, or have the body absent in its pings (Simulator.ping(bodies=...))"
+        "from there; give it another pose, have the body absent in its pings (Simulator.ping(bodies=...)), or, if it "
+        "is a tank, turn its faces to the inside (mesh.invert())"
     )
 
 

@@ -22,6 +22,7 @@ from rosbags.highlevel import AnyReader
 
 import sonar_gl as sg
 from sonar_gl.batch import outputs, parts
+from sonar_gl.batch import requests as batch_requests
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
@@ -289,6 +290,22 @@ def test_a_hull_that_stays_behind_is_warned_of(tmp_path, requests):
         path.write_text(job.replace(old, new, 1))
         assert list(BatchRequests(read_job(path)).hull_warnings()) == []
         path.write_text(job)
+
+
+def test_hulls_are_known_of_scenes_that_were_loaded(tmp_path, monkeypatch):
+    """To load each of many scenes once more, for this warning alone, doubled the time before the first ping."""
+    path, names = write_job(tmp_path), [f"tank_{k}.sdf" for k in range(4)]
+    for name in names:
+        (tmp_path / name).write_text((tmp_path / "tank.sdf").read_text())
+    path.write_text(path.read_text().replace('["tank.sdf"]', str(names)))
+    loaded, load = [], batch_requests.load_scene
+    monkeypatch.setattr(
+        batch_requests, "load_scene", lambda what, *rest: loaded.append(what) or load(what, *rest)
+    )
+    found = open_batch(path, tmp_path / "out").requests
+    assert {Path(what).name for what in loaded} == set(names)
+    loaded.clear()
+    assert list(found.hull_warnings()) == [] and loaded == []
 
 
 def test_rates_are_checked_block_by_block(requests, monkeypatch):

@@ -12,6 +12,7 @@ import time
 import warnings
 import weakref
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,10 +22,10 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.cli.warm_up import compiled_functions
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.functions import Functions
-from sonar_gl.raster.cull import choose_patches
 from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -1000,19 +1001,43 @@ def test_the_first_ping_of_a_sonar_inside_a_body_warns():
         for one in caught:
             assert str(one.message) == (
                 "the sonar at (0, 0, 0) m is inside body 'ball', or below it if it is a terrain, and sees what no "
-                "sonar does from there; give it another pose, or have the body absent in its pings "
-                "(Simulator.ping(bodies=...))"
+                "sonar does from there; give it another pose, have the body absent in its pings "
+                "(Simulator.ping(bodies=...)), or, if it is a tank, turn its faces to the inside (mesh.invert())"
             )
             assert one.filename == __file__
 
 
+def test_a_tank_whose_faces_look_inside_looks_alike_without_a_warning():
+    """As the warning of a sonar inside a body says: a box is often meant as a tank."""
+    box, turned = (trimesh.creation.box((12, 8, 6)) for _ in range(2))
+    turned.invert()
+    pings = []
+    for mesh, expected in (
+        (box, pytest.warns(UserWarning, match="if it is a tank")),
+        (turned, nullcontext()),
+    ):
+        scene = sg.Scene([sg.Body("tank", mesh)])
+        with (
+            sg.Simulator(scene, sg.load_sonar("p900-45"), sampling=sg.Sampling(1, 20)) as simulator,
+            expected,
+        ):
+            pings.append(simulator.ping(sg.pose(pitch=0.2)))
+    assert pings[0].intensity.any()
+    np.testing.assert_array_equal(pings[0].intensity, pings[1].intensity)
+
+
 def test_whole_numbers_of_a_sonar_compile_nothing_more():
-    body, kinds = sg.Body("wall", trimesh.creation.box((1, 20, 20)), sg.pose(8)), []
-    for range_m in (10.0, 10):
-        sonar = sg.load_sonar("p900-45").with_range(range_m)
-        with sg.Simulator(sg.Scene([body]), sonar, sg.Acoustics.ideal(), sg.Sampling(1, 20)) as simulator:
-            simulator.ping(sg.pose())
-        kinds.append(len(choose_patches.signatures))
+    """Also where a ping chooses its samples, judges bodies that they miss, and has multipath."""
+    wall, hidden = (
+        sg.Body(f"wall at {x} m", trimesh.creation.box((1, 20, 20)), sg.pose(x)) for x in (8.0, 8.2)
+    )
+    kinds = []
+    for range_min_m, range_max_m in ((1.0, 10.0), (1, 10)):
+        sonar = sg.Sonar("test", 900e3, 32, 64, 45.0, 20.0, 2.0, range_min_m, range_max_m)
+        acoustics = sg.Acoustics.ideal(multipath="incoherent")
+        with sg.Simulator(sg.Scene([wall, hidden]), sonar, acoustics, tolerance=0.3) as simulator:
+            simulator.ping(sg.pose(), labels=True)
+        kinds.append({name: len(one.signatures) for name, one in compiled_functions().items()})
     assert kinds[0] == kinds[1]
 
 
