@@ -41,7 +41,7 @@ class Mutation:
     ----------
     name : ROOM/what is wrong
     old, new : text of the package, and what takes its place
-    tests : modules that are run, without folder and .py, or test_module::test_name
+    tests : modules that are run, without .py, or test_module::test_name; with the folder where two have one name
     """
 
     name: str
@@ -74,14 +74,14 @@ SCATTERERS, COMMON = ("test_scatterers",), ("test_common_noise",)
 CROSS_TALK, VOLUME, RING_DOWN = ("test_cross_talk",), ("test_volume",), ("test_ring_down",)
 SURFACE = ("test_surface_reverberation",)
 STORE = ("test_store",)
-ENCODING = ("test_batch",)
+ENCODING = ("batch/test_batch",)
 RECORDS = ("test_records",)
 POWER = ("test_power_failure",)
 GUARD = ("test_state_guard", "test_modes")
 COUNTS = ("test_counts",)
 POSES, FAN = ("test_poses",), ("test_fan_image",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
-SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("test_batch",), ("test_simulator",)
+SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("batch/test_batch",), ("test_simulator",)
 REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
 SEEN_ROD = "test_adaptive::test_a_thin_body_that_no_sample_met_is_seen_between_its_vertices"
@@ -366,7 +366,10 @@ MUTATIONS = (
     Mutation("footprints/noise of planes", "SAME = 1e-5", "SAME = 1e-2", STRIPS),
     Mutation("footprints/planes apart", "SAME = 1e-5", "SAME = 1e-8", STRIPS),
     Mutation(
-        "fan/rows of a sector of side lobes", "= 0.75, 16, 1.0", "= 0.75, 4, 1.0", ("test_closed_forms",)
+        "fan/rows of a sector of side lobes",
+        "= 0.75, 16, 1.0",
+        "= 0.75, 4, 1.0",
+        ("test_closed_forms::test_the_first_bottom_return_with_few_samples",),
     ),
     Mutation(
         "fan/boxes within the transmit beam",
@@ -673,7 +676,7 @@ MUTATIONS = (
         "labels/interrupted weights",
         "self._weights[key] = make() if found",
         "self._weights[key] = None, None; self._weights[key] = make() if found",
-        ("test_interrupts::test_the_first_labels_are_interrupted_where_weights_are_found_and_kept",),
+        ("engine/test_interrupts::test_the_first_labels_are_interrupted_where_weights_are_found_and_kept",),
     ),
     # multipath by image sources
     Mutation(
@@ -1624,7 +1627,7 @@ MUTATIONS = (
         "sequence/pings by the caller",
         "if jobs[0].is_over:",
         "if True:",
-        ("test_sequence",),
+        ("test_sequence::test_the_caller_makes_pings_while_it_waits_for_the_first",),
     ),
     Mutation(
         "sequence/small pings",
@@ -1754,13 +1757,13 @@ MUTATIONS = (
         "batch/pings without an echo",
         "~np.any(has_echo, axis=0)",
         "~np.all(has_echo, axis=0)",
-        ("test_batch::test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in",),
+        ("batch/test_batch::test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in",),
     ),
     Mutation(
         "batch/space on the disk",
         "if isinstance(why, OSError) or is_out_of_memory(why): raise kind",
         "if is_out_of_memory(why):\n                    raise\n                kind",
-        ("test_batch::test_what_the_machine_lacks_sets_no_ping_aside",),
+        ("batch/test_batch::test_what_the_machine_lacks_sets_no_ping_aside",),
     ),
     Mutation(
         "empty pings/range that the sonar shows",
@@ -1889,8 +1892,12 @@ def test_files(mutation: Mutation) -> list[str]:
     for words in mutation.tests:
         name, *test = words.split("::")
         found = sorted((ROOT / "tests").rglob(f"{name}.py"))
-        if not found:
-            raise SystemExit(f"{mutation.name}: there is no test module {name} in {ROOT / 'tests'}")
+        if len(found) != 1:
+            raise SystemExit(
+                f"{mutation.name}: there must be one module {name} in tests/ (there are {len(found)})"
+            )
+        if test and f"def {test[-1].partition('[')[0]}(" not in found[0].read_text(encoding="utf-8"):
+            raise SystemExit(f"{mutation.name}: there is no test {test[-1]} in {found[0]}")
         out.append("::".join((found[0].relative_to(ROOT).as_posix(), *test)))
     return list(dict.fromkeys(out))
 
