@@ -65,8 +65,8 @@ def test_a_ping_is_interrupted_at_its_lines(every):
 @pytest.mark.parametrize(
     "module, n_least",
     [
-        ("workspace", 25),
-        pytest.param("far_lobes", 60, marks=pytest.mark.slow),
+        ("far_lobes", 60),
+        pytest.param("workspace", 25, marks=pytest.mark.slow),
         pytest.param("labels", 90, marks=pytest.mark.slow),
     ],
 )
