@@ -43,9 +43,9 @@ def simulator(sampling=SAMPLING, bodies=BODIES, **kw):
 
 @pytest.fixture(autouse=True)
 def several_threads(monkeypatch):
-    """Have other threads make the pings, small as they are, also on one core."""
+    """Have another thread make the pings, small as they are, and as many ahead on any number of cores."""
     monkeypatch.setattr(sequence, "FEW_SAMPLES", 0)
-    monkeypatch.setattr(sequence, "n_threads", lambda: max(2, threads.n_threads()))
+    monkeypatch.setattr(sequence, "n_threads", lambda: 2)
 
 
 @pytest.fixture
@@ -944,7 +944,6 @@ def test_one_core_has_no_thread_make_pings(handed_over, monkeypatch):
 
 
 def test_the_caller_makes_pings_while_it_waits_for_the_first(it, monkeypatch):
-    monkeypatch.setattr(sequence, "n_threads", lambda: 2)
     expected, receive = [it.ping(pose) for pose in POSES], pipeline.receive
     has_begun, has_made, were_made = threading.Event(), threading.Event(), []
 
@@ -980,10 +979,14 @@ def test_the_caller_makes_no_ping_after_the_first_is_there(is_first_made):
 
 
 def test_threads_and_the_caller_are_as_many_as_the_cores(monkeypatch):
+    def n_alive():
+        return sum(thread.name == "sonar_gl ping" for thread in threading.enumerate())
+
+    wait_until(lambda: n_alive() == 0)  # those of sequences before, which end by themselves
     monkeypatch.setattr(sequence, "n_threads", lambda: 4)
     with simulator(engine="cpu") as it:
         pings = it.pings(POSES)
         next(pings), next(pings)
-        assert sum(thread.name == "sonar_gl ping" for thread in threading.enumerate()) == 3
+        assert n_alive() == 3
         pings.close()
-        wait_until(lambda: all(thread.name != "sonar_gl ping" for thread in threading.enumerate()))
+        wait_until(lambda: n_alive() == 0)
