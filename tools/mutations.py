@@ -1896,8 +1896,9 @@ def test_files(mutation: Mutation) -> list[str]:
             raise SystemExit(
                 f"{mutation.name}: there must be one module {name} in tests/ (there are {len(found)})"
             )
-        if test and f"def {test[-1].partition('[')[0]}(" not in found[0].read_text(encoding="utf-8"):
-            raise SystemExit(f"{mutation.name}: there is no test {test[-1]} in {found[0]}")
+        text = found[0].read_text(encoding="utf-8")
+        if not all(re.search(rf"(def|class) {part.partition('[')[0]}\b", text) for part in test):
+            raise SystemExit(f"{mutation.name}: there is no {'::'.join(test)} in {found[0]}")
         out.append("::".join((found[0].relative_to(ROOT).as_posix(), *test)))
     return list(dict.fromkeys(out))
 
