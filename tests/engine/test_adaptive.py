@@ -313,6 +313,11 @@ def test_a_body_missed_by_the_first_samples_is_found(tolerance, radius):
     assert ping.intensity.max(axis=0).sum() == pytest.approx(truth.intensity.sum(), rel=0.1)
 
 
+def cost_of(n_samples):
+    """Return what a ping of SONAR costs, in samples."""
+    return n_samples + adaptive.FIXED_SAMPLES + SONAR.n_beams * SONAR.n_bins
+
+
 class TestMoving:
     def scene(self):
         return sg.Scene([ball(), sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -3.5))])
@@ -387,6 +392,34 @@ class TestMoving:
         assert not made and not dropped
         assert [one.category for one in caught] == [ToleranceWarning] * (steps > 0 and level == finest)
 
+    @pytest.mark.parametrize(("share", "is_due"), [(1.001, True), (0.999, False)])
+    def test_a_check_waits_until_it_costs_no_more_than_a_ping_may(self, share, is_due):
+        """It costs 2.1 times a ping without, which may cost 2.3 times the median."""
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            sampler = simulator.run.sampler
+            sampler.choice = replace(sampler.choice, is_due=True)
+            median = share * 2.1 / 2.3 * cost_of(sampler.plan.n_samples)
+            assert sampler.is_check_due(sampler.history._replace(costs=(median,) * 9)) == is_due
+
+    @pytest.mark.parametrize(("share", "level"), [(1.001, 11), (0.999, 10)])
+    def test_samples_get_as_fine_at_once_as_a_ping_may_cost(self, share, level, monkeypatch):
+        """By up to eight levels, that a check asks for, but for no more than 1.65 times the median."""
+        judge = error_model.ErrorModel.judge
+        monkeypatch.setattr(adaptive, "MOST_COST", math.inf)  # of checks
+        monkeypatch.setattr(error_model.ErrorModel, "judge", lambda *of: judge(*of)._replace(steps=8))
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            sampler = simulator.run.sampler
+            sampler.choice = replace(sampler.choice, level=8, is_due=True)
+            with simulator.run.drawing():
+                stage = sampler.resolution.stage
+            times = sampler.search.model.sampling_at(11).count(SONAR) / stage.sampling.count(SONAR)
+            median = share * cost_of(times * stage.fan.n_samples) / 1.65
+            sampler.history = sampler.history._replace(costs=(median,) * 9)
+            simulator.ping(np.eye(4))
+            assert sampler.choice.level == level and sampler.choice.is_due
+
     def test_memory_is_given_back_once_many_pings_had_far_fewer_samples(self, monkeypatch):
         """A sonar that turns to and fro would take it anew each time, which takes longer than its samples."""
         dropped = []
@@ -431,8 +464,7 @@ class TestMoving:
                     contextlib.nullcontext() if n_pings > history.n_pings else pytest.warns(ToleranceWarning)
                 ):
                     sampler.follow(setup, unmet, 7.0, n_pings)
-                cost = plan.n_samples + adaptive.FIXED_SAMPLES + SONAR.n_beams * SONAR.n_bins
-                assert sampler.history == (n_pings, setup, (cost,))
+                assert sampler.history == (n_pings, setup, (cost_of(plan.n_samples),))
                 assert (sampler.choice.level, sampler.choice.finest) == (5, 5)
 
     def test_no_ping_tries_what_did_not_fit_in_the_first(self, monkeypatch):
