@@ -402,6 +402,22 @@ class TestMoving:
             median = share * 2.1 / 2.3 * cost_of(sampler.plan.n_samples)
             assert sampler.is_check_due(sampler.history._replace(costs=(median,) * 9)) == is_due
 
+    @pytest.mark.parametrize(("median", "is_estimated"), [(1e12, True), (1.0, False)])
+    def test_a_change_of_the_echo_is_estimated_at_once_if_that_costs_no_more(
+        self, median, is_estimated, monkeypatch
+    ):
+        """And as soon as it does otherwise."""
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            sampler = simulator.run.sampler
+            checked = sampler.choice.last_check
+            sampler.choice = replace(sampler.choice, last_check=checked._replace(total=2 * checked.total))
+            sampler.history = sampler.history._replace(costs=(median,) * 9)
+            calls = record_estimates(monkeypatch)
+            simulator.ping(np.eye(4))
+            assert bool(calls) == is_estimated
+            assert sampler.choice.is_due == (not is_estimated)
+
     @pytest.mark.parametrize(("share", "level"), [(1.001, 11), (0.999, 10)])
     def test_samples_get_as_fine_at_once_as_a_ping_may_cost(self, share, level, monkeypatch):
         """By up to eight levels, that a check asks for, but for no more than 1.65 times the median."""
@@ -427,7 +443,7 @@ class TestMoving:
             simulator.ping(np.eye(4))
             sampler = simulator.run.sampler
             monkeypatch.setattr(StageCache, "drop_large", lambda _: dropped.append(1))
-            for level in (12, 2):
+            for level in (12, 11, 2):  # some fewer are not far fewer
                 sampler.choice = replace(sampler.choice, level=level, is_due=False)
                 for number in range(KEPT_VIEWS):
                     assert not dropped, number
