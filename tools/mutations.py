@@ -1620,7 +1620,7 @@ MUTATIONS = (
         "planner/rows between those that are counted",
         "area = (u[1] * v[2] - u[2] * v[1]) * every",
         "area = u[1] * v[2] - u[2] * v[1]",
-        ("test_multipath",),
+        ("test_adaptive::test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples",),
     ),
     Mutation(
         "obstruction/sphere in the frame of the body",

@@ -897,7 +897,10 @@ def test_samples_as_wide_as_whole_columns_take_thin_upright_parts_by_their_width
 
 @pytest.mark.parametrize("stripes", ["along rows", "across rows"])
 def test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples(stripes):
-    """By NumPy: of stripes of reflectivities at random, at other ranges in each row; they show across them alone."""
+    """By NumPy: of stripes of reflectivities at random, at other ranges in each row; they show across them alone.
+
+    Or by every third row alone.
+    """
     fan, random = make_fan(SONAR, sg.Sampling(2, 60), BeamShape(0.0)), np.random.default_rng(0)
     (sector,) = fan.sectors
     u, v = sector.sample_coordinates()
@@ -908,11 +911,14 @@ def test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples(stripes)
     plane_echo = np.stack([q, 0 * q, 0 * q, mu * length / q], axis=-1).astype(np.float32)
     table = 1 + np.linspace(-1, 1, 4001)  # of a pattern that rises with the sine of the elevation
     reception = Reception(SONAR, 0.0, fan.max_elevation_rad, False, gain, table, parts_of(fan))
-    found = count_bodies(view_of([SectorSamples(sector, plane_echo, is_on.astype(np.uint16))]), 1, reception)
+    view = view_of([SectorSamples(sector, plane_echo, is_on.astype(np.uint16))])
+    found, thinned = (count_bodies(view, 1, reception, every=every) for every in (1, 3))
     angle = np.linalg.det(sector.steps) / length**3
     echo = mu * angle * gain[40 + j] * (1 + v / length)
     assert found.samples.tolist() == [0, 600]
     assert found.echo[1] == pytest.approx(echo.sum(), rel=1e-3)  # the nearest entry of the table
+    assert thinned.samples.tolist() == [0, 210]
+    assert thinned.echo[1] == pytest.approx(3 * echo[::3].sum(), rel=1e-3)  # as high as three rows
     inside = echo[20:40, 40:70]
     both = ((np.diff(inside, axis=axis) ** 2).sum() for axis in (0, 1))
     assert found.unevenness[1] == pytest.approx(math.sqrt(max(both) / 2), rel=1e-3)
