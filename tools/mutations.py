@@ -41,7 +41,7 @@ class Mutation:
     ----------
     name : ROOM/what is wrong
     old, new : text of the package, and what takes its place
-    tests : modules that are run, without folder and .py, or test_module::test_name
+    tests : modules that are run, without .py, or test_module::test_name; with the folder where two have one name
     """
 
     name: str
@@ -56,7 +56,9 @@ PLANES = "test_closed_forms::test_planes"
 STRIPS = ("test_strips",)
 CONES = ("test_cones",)
 BUBBLES = ("test_bubbles", "test_footprint")
-PROMISE = ("test_promise",)
+MISSED = "test_adaptive::TestBodiesThatSamplesMiss"
+GRAZING = f"{MISSED}::test_a_ball_on_a_floor_is_not_hidden_by_what_is_nearer_of_the_floor"
+JUDGED = ("test_adaptive::test_the_error_of_a_body_is_judged_by_what_its_samples_show",)
 LABELS = ("test_labels",)
 MULTIPATH = ("test_multipath",)
 TRIANGLES = ("test_engines", "test_specular")
@@ -74,14 +76,14 @@ SCATTERERS, COMMON = ("test_scatterers",), ("test_common_noise",)
 CROSS_TALK, VOLUME, RING_DOWN = ("test_cross_talk",), ("test_volume",), ("test_ring_down",)
 SURFACE = ("test_surface_reverberation",)
 STORE = ("test_store",)
-ENCODING = ("test_batch",)
+ENCODING = ("batch/test_batch",)
 RECORDS = ("test_records",)
 POWER = ("test_power_failure",)
 GUARD = ("test_state_guard", "test_modes")
 COUNTS = ("test_counts",)
 POSES, FAN = ("test_poses",), ("test_fan_image",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
-SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("test_batch",), ("test_simulator",)
+SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("batch/test_batch",), ("test_simulator",)
 REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
 SEEN_ROD = "test_adaptive::test_a_thin_body_that_no_sample_met_is_seen_between_its_vertices"
@@ -368,7 +370,10 @@ MUTATIONS = (
     Mutation("footprints/noise of planes", "SAME = 1e-5", "SAME = 1e-2", STRIPS),
     Mutation("footprints/planes apart", "SAME = 1e-5", "SAME = 1e-8", STRIPS),
     Mutation(
-        "fan/rows of a sector of side lobes", "= 0.75, 16, 1.0", "= 0.75, 4, 1.0", ("test_closed_forms",)
+        "fan/rows of a sector of side lobes",
+        "= 0.75, 16, 1.0",
+        "= 0.75, 4, 1.0",
+        ("test_closed_forms::test_the_first_bottom_return_with_few_samples",),
     ),
     Mutation(
         "fan/boxes within the transmit beam",
@@ -675,7 +680,7 @@ MUTATIONS = (
         "labels/interrupted weights",
         "self._weights[key] = make() if found",
         "self._weights[key] = None, None; self._weights[key] = make() if found",
-        ("test_interrupts::test_the_first_labels_are_interrupted_where_weights_are_found_and_kept",),
+        ("engine/test_interrupts::test_the_first_labels_are_interrupted_where_weights_are_found_and_kept",),
     ),
     # multipath by image sources
     Mutation(
@@ -876,7 +881,7 @@ MUTATIONS = (
         "math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE - 3",
         ADAPTIVE,
     ),
-    Mutation("planner/plane of a grazing floor", "q > plane * IN_FRONT", "q > there * IN_FRONT", ADAPTIVE),
+    Mutation("planner/plane of a grazing floor", "q > plane * IN_FRONT", "q > there * IN_FRONT", (GRAZING,)),
     Mutation("planner/glints", "found.samples * shares, found.echo", "found.samples, found.echo", ADAPTIVE),
     Mutation("planner/brighter bodies", "or brighter > CHECK_BRIGHTER", "", ADAPTIVE),
     Mutation(
@@ -935,18 +940,27 @@ MUTATIONS = (
         "finer = (errors[worst] / (2 * WORST_BODY * self.tolerance))",
         ADAPTIVE,
     ),
-    Mutation("planner/bodies of few samples", "MIN_BODY_SAMPLES = 8", "MIN_BODY_SAMPLES = 0.5", PROMISE),
-    Mutation(
-        "planner/bodies in two lattices", "DIFFERENCE_FACTOR = 1.37", "DIFFERENCE_FACTOR = 0.0", PROMISE
-    ),
+    Mutation("planner/bodies of few samples", "MIN_BODY_SAMPLES = 8", "MIN_BODY_SAMPLES = 0.5", JUDGED),
+    Mutation("planner/bodies in two lattices", "DIFFERENCE_FACTOR = 1.37", "DIFFERENCE_FACTOR = 0.0", JUDGED),
     Mutation(
         "planner/mirrored lattice",
-        "1 / COARSER), -SHEAR)",
-        "1 / COARSER), SHEAR)",
-        PROMISE,
+        "1 / COARSER), -SHEAR), -SHEAR)",
+        "1 / COARSER), -SHEAR), SHEAR)",
+        JUDGED,
     ),
-    Mutation("planner/difference of two pings", "\nERROR_FACTOR = 1.86", "\nERROR_FACTOR = 0.93", PROMISE),
-    Mutation("planner/weak bodies", "MIN_ECHO_SHARE = 5e-4", "MIN_ECHO_SHARE = 5e-3", PROMISE),
+    Mutation(
+        "planner/samples of the mirrored lattice as wide as columns",
+        "1 / COARSER), -SHEAR), -SHEAR)",
+        "1 / COARSER), SHEAR), -SHEAR)",
+        ("test_adaptive::test_samples_as_wide_as_whole_columns_take_thin_upright_parts_by_their_width",),
+    ),
+    Mutation("planner/difference of two pings", "\nERROR_FACTOR = 1.86", "\nERROR_FACTOR = 0.93", JUDGED),
+    Mutation(
+        "planner/weak bodies",
+        "MIN_ECHO_SHARE = 5e-4",
+        "MIN_ECHO_SHARE = 5e-3",
+        ("test_adaptive::test_a_body_counts_if_its_echo_is_strong_or_is_not_known",),
+    ),
     Mutation("planner/poses of a plan", "MAX_POSES = 24", "MAX_POSES = 2", ADAPTIVE),
     Mutation(
         "planner/rate of a body's difference",
@@ -1662,7 +1676,7 @@ MUTATIONS = (
         "sequence/pings by the caller",
         "if jobs[0].is_over:",
         "if True:",
-        ("test_sequence",),
+        ("test_sequence::test_the_caller_makes_pings_while_it_waits_for_the_first",),
     ),
     Mutation(
         "sequence/small pings",
@@ -1744,6 +1758,147 @@ MUTATIONS = (
         ("test_fan",),
     ),
     Mutation(
+        "fan/rows of fitted samples",
+        "round(sampling.rows * wider)",
+        "round(sampling.rows / wider)",
+        ("test_fan",),
+    ),
+    Mutation(
+        "fan/fewest rows of fitted samples",
+        "max(round(sampling.rows * wider), min(sampling.rows, fewest_rows(sonar)))",
+        "round(sampling.rows * wider)",
+        ("test_fan",),
+    ),
+    Mutation(
+        "fan/most fitted samples of a beam",
+        "min(sampling.columns_per_beam / wider, MAX_COLUMNS_PER_BEAM)",
+        "sampling.columns_per_beam / wider",
+        ("test_fan",),
+    ),
+    Mutation(
+        "fan/fitted samples narrower than a column", "if n % self.n_columns(n) == 0", "if True", ("test_fan",)
+    ),
+    Mutation(
+        "fan/columns that are even in tangents",
+        "np.arctan(math.tan(half_width_rad) * np.linspace(-1, 1, n_columns + 1)[:-1])",
+        "half_width_rad * np.linspace(-1, 1, n_columns + 1)[:-1]",
+        ("test_fan",),
+    ),
+    Mutation(
+        "fan/wider columns of the mirror image",
+        "2 * math.tan(views.half_width_rad) / (math.sqrt(2) if shear < 0 else 1)",
+        "2 * math.tan(views.half_width_rad)",
+        ("test_fan",),
+    ),
+    Mutation(
+        "body counts/strips beyond the fan",
+        "reach = widest_u + (half if n_strips else 0.0)",
+        "reach = widest_u",
+        ("test_adaptive::test_the_echo_of_strips_is_what_the_nearest_samples_of_upright_rods_give_them",),
+    ),
+    Mutation(
+        "body counts/strips of a further sector",
+        "first_end = parts.first_strip[s] + s",
+        "first_end = parts.first_strip[s]",
+        ("test_adaptive::test_a_body_above_the_water_asks_for_no_samples",),
+    ),
+    Mutation(
+        "body counts/length of runs",
+        "MIN_WIDTH, MAX_RUN = 6.0, 3.0",
+        "MIN_WIDTH, MAX_RUN = 6.0, 30.0",
+        ("test_adaptive::test_strands_are_the_runs_of_samples_on_a_body_of_many_thin_parts",),
+    ),
+    Mutation(
+        "body counts/width of what many thin parts fill",
+        "MIN_WIDTH, MAX_RUN = 6.0, 3.0",
+        "MIN_WIDTH, MAX_RUN = 0.0, 3.0",
+        ("test_adaptive::test_strands_are_the_runs_of_samples_on_a_body_of_many_thin_parts",),
+    ),
+    Mutation(
+        "body counts/bodies that are not counted",
+        "if not is_counted[body]:",
+        "if False:",
+        ("test_adaptive::test_of_a_coarser_view_those_bodies_alone_are_counted_that_it_is_compared_by",),
+    ),
+    Mutation(
+        "costs/finer samples",
+        "MOST_FINER_COST * median(self.history.costs)",
+        "MOST_COST * median(self.history.costs)",
+        ("test_adaptive::TestMoving::test_samples_get_as_fine_at_once_as_a_ping_may_cost",),
+    ),
+    Mutation(
+        "costs/check",
+        "return CHECK_COST * cost if check else cost",
+        "return cost",
+        ("test_adaptive::TestMoving::test_a_check_waits_until_it_costs_no_more_than_a_ping_may",),
+    ),
+    Mutation(
+        "costs/check that waits",
+        "if not (resolution.check or is_first_echo or self._can_check(self.history)):",
+        "if not (resolution.check or is_first_echo):",
+        ("test_adaptive::TestMoving::test_a_change_of_the_echo_is_estimated_at_once_if_that_costs_no_more",),
+    ),
+    Mutation(
+        "costs/later pings made meanwhile",
+        "if n_pings >= history.n_pings:",
+        "if True:",
+        ("test_adaptive::TestMoving::test_the_next_pings_follow_one_whose_samples_were_chosen_alone",),
+    ),
+    Mutation(
+        "costs/stage of a check to come",
+        "if self.choice.is_due and not check:",
+        "if False:",
+        ("test_moving_sonar::test_pings_that_wait_for_a_check_have_made_what_it_needs",),
+    ),
+    Mutation(
+        "sequence/pings by the caller after the first",
+        "if jobs[0].is_over:",
+        "if False:",
+        ("test_sequence::test_the_caller_makes_no_ping_after_the_first_is_there",),
+    ),
+    Mutation(
+        "sequence/threads beside the caller",
+        'JobThreads("sonar_gl ping", n - 1)',
+        'JobThreads("sonar_gl ping", n)',
+        ("test_sequence::test_threads_and_the_caller_are_as_many_as_the_cores",),
+    ),
+    Mutation(
+        "sequence/pings that no thread can choose",
+        "if batch or setup.request.alone or not can_choose:",
+        "if batch or not can_choose:",
+        ("test_alone::test_any_order_and_company_gives_the_same_bytes",),
+    ),
+    Mutation(
+        "stage/memory of larger views",
+        "if MUCH_FEWER * most < self._room:",
+        "if most < self._room:",
+        ("test_adaptive::TestMoving::test_memory_is_given_back_once_many_pings_had_far_fewer_samples",),
+    ),
+    Mutation(
+        "error/strips of both pings",
+        "wrong_share(tried.echo, before.echo, coarser) + of_strips",
+        "wrong_share(tried.echo, before.echo, coarser)",
+        ("test_adaptive::test_the_error_of_a_body_is_judged_by_what_its_samples_show",),
+    ),
+    Mutation(
+        "error/strips of a body",
+        "np.hypot(errors, np.abs(of_strips - echo) / np.maximum(echo, 1e-30)) * counts",
+        "errors * counts",
+        ("test_adaptive::test_the_error_of_a_body_is_judged_by_what_its_samples_show",),
+    ),
+    Mutation(
+        "beams/columns of a tile",
+        "n_columns + -n_columns % 4",
+        "n_columns + n_columns % 4",
+        ("test_footprint::test_weigh_columns_is_a_circular_matrix_product",),
+    ),
+    Mutation(
+        "beams/sums of the tile before",
+        "rows[r, k] = 0.0",
+        "pass",
+        ("test_footprint::test_weigh_columns_is_a_circular_matrix_product",),
+    ),
+    Mutation(
         "noise/bandwidth of levels",
         "bandwidth_hz = acoustics.pulse_response(sonar).bandwidth_hz",
         "bandwidth_hz = sonar.bandwidth_hz",
@@ -1792,13 +1947,13 @@ MUTATIONS = (
         "batch/hull that the job moves",
         "model is not None and not matching_names(moved, [model, *parts])",
         "model is not None",
-        ("test_batch::test_a_hull_that_stays_behind_is_warned_of",),
+        ("batch/test_batch::test_a_hull_that_stays_behind_is_warned_of",),
     ),
     Mutation(
         "batch/scenes loaded for their hulls",
         "if index not in self._vehicles:",
         "if True:",
-        ("test_batch::test_hulls_are_known_of_scenes_that_were_loaded",),
+        ("batch/test_batch::test_hulls_are_known_of_scenes_that_were_loaded",),
     ),
     Mutation(
         "render/hull that stays behind",
@@ -1816,19 +1971,19 @@ MUTATIONS = (
         "batch/pings without an echo",
         "~np.any(has_echo, axis=0)",
         "~np.all(has_echo, axis=0)",
-        ("test_batch::test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in",),
+        ("batch/test_batch::test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in",),
     ),
     Mutation(
         "batch/warnings but that of no echo",
         "if issubclass(warning.category, NoEchoWarning):",
         "if False:",
-        ("test_batch::test_a_sonar_inside_a_body_is_reported_though_its_pings_have_no_echo",),
+        ("batch/test_batch::test_a_sonar_inside_a_body_is_reported_though_its_pings_have_no_echo",),
     ),
     Mutation(
         "batch/space on the disk",
         "if isinstance(why, OSError) or is_out_of_memory(why): raise kind",
         "if is_out_of_memory(why):\n                    raise\n                kind",
-        ("test_batch::test_what_the_machine_lacks_sets_no_ping_aside",),
+        ("batch/test_batch::test_what_the_machine_lacks_sets_no_ping_aside",),
     ),
     Mutation(
         "empty pings/range that the sonar shows",
@@ -1957,8 +2112,13 @@ def test_files(mutation: Mutation) -> list[str]:
     for words in mutation.tests:
         name, *test = words.split("::")
         found = sorted((ROOT / "tests").rglob(f"{name}.py"))
-        if not found:
-            raise SystemExit(f"{mutation.name}: there is no test module {name} in {ROOT / 'tests'}")
+        if len(found) != 1:
+            raise SystemExit(
+                f"{mutation.name}: there must be one module {name} in tests/ (there are {len(found)})"
+            )
+        text = found[0].read_text(encoding="utf-8")
+        if not all(re.search(rf"(def|class) {part.partition('[')[0]}\b", text) for part in test):
+            raise SystemExit(f"{mutation.name}: there is no {'::'.join(test)} in {found[0]}")
         out.append("::".join((found[0].relative_to(ROOT).as_posix(), *test)))
     return list(dict.fromkeys(out))
 

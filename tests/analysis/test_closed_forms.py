@@ -247,6 +247,16 @@ def test_the_first_bottom_return_through_side_lobes(height, pitch_deg, taper):
     assert np.abs(10 * np.log10(measured[bright] / exact[bright])).max() < 1.0
 
 
+@pytest.mark.parametrize("pitch_deg", [0.0, -10.0])
+def test_the_first_bottom_return_with_few_samples(pitch_deg):
+    """1/r is nearly linear in each row: bins are 0.5 dB off at most, with four rows to a sector of side lobes 4 dB."""
+    scene, pose, exact = floor_before_a_line_array(RING, 5.0, pitch_deg)
+    with sg.Simulator(scene, RING, LINE_ARRAY, sg.Sampling(1.0, 24)) as simulator:
+        measured = simulator.ping(pose).intensity[RING.n_beams // 2]
+    bright = first_bottom_return(RING, 5.0, exact)
+    assert np.abs(10 * np.log10(measured[bright] / exact[bright])).max() < 0.6
+
+
 @pytest.mark.parametrize("roll", [0.0, math.pi])
 def test_a_few_rows_of_a_smooth_floor_follow_the_pattern(roll):
     """A floor whose rows are many bins long, right way up and overhead: the pattern is linear within each row."""

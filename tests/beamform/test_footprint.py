@@ -171,26 +171,30 @@ def test_many_footprints_are_the_sum_of_each():
     np.testing.assert_allclose(spread(s, a, b), want, rtol=1e-5, atol=1e-7 * want.max())  # float32 sums
 
 
-@pytest.mark.parametrize("n_weights", [4, 8])
+@pytest.mark.parametrize("n_weights", [1, 4, 5, 6, 7, 8])
 def test_weigh_columns_is_a_circular_matrix_product(n_weights):
+    """Of four beams at a time, and of the two that are left; of four columns at a time, in any number."""
     rng = np.random.default_rng(1)
-    sums = rng.random((7, 11), np.float32)
-    spans = np.array([[0, 11], [11, 0], [3, 4], [0, 5], [6, 11], [11, 0], [2, 9]])
+    sums = rng.random((7, 37), np.float32)
+    spans = np.array([[0, 37], [37, 0], [3, 4], [0, 5], [6, 37], [37, 0], [2, 29]])
     for row, span in zip(sums, spans, strict=True):
         row[: span[0]], row[span[1] :] = 0, 0
-    first, weights = np.array([-2, 0, 5]), rng.random((3, n_weights), np.float32)
-    out, gain = np.full((2, 3, 11), np.nan, np.float32), rng.random(11, np.float32)
-    tiles = tuple(beam_tiles(first, weights))
-    totals = [
-        weigh_columns(sums, spans, tiles, (0, 1), *arrays) for arrays in ((gain[:0], out[0]), (gain, out[1]))
-    ]
-    np.testing.assert_allclose(totals, out.sum(axis=(1, 2), dtype=np.float64), rtol=1e-12)
-    dense = np.zeros((3, 7))
-    for b in range(3):
+    first, weights = np.array([-2, 0, 5, 1, 3, -1]), rng.random((6, n_weights), np.float32)
+    tiles, gain = tuple(beam_tiles(first, weights)), rng.random(37, np.float32)
+    dense = np.zeros((6, 7))
+    for b in range(6):
         for w in range(n_weights):
             dense[b, (first[b] + w) % 7] += weights[b, w]
-    np.testing.assert_allclose(out[0], dense @ sums, rtol=1e-5)
-    np.testing.assert_allclose(out[1], dense @ sums * gain, rtol=1e-5)
+    for one, times in ((gain[:0], 1.0), (gain, gain)):
+        out = np.full((6, 37), np.nan, np.float32)
+        for tile, of_tile in ((1, slice(4, 6)), (0, slice(0, 4))):
+            assert np.isnan(out[of_tile]).all()
+            total = weigh_columns(sums, spans, tiles, (tile, tile + 1), one, out)
+            np.testing.assert_allclose(total, out[of_tile].sum(dtype=np.float64), rtol=1e-12)
+        together = np.full_like(out, np.nan)
+        weigh_columns(sums, spans, tiles, (0, 2), one, together)
+        np.testing.assert_array_equal(together, out)
+        np.testing.assert_allclose(out, dense @ sums * times, rtol=1e-5)  # float32 sums
 
 
 @pytest.mark.parametrize("table", [np.empty(0), np.ones(5)], ids=["box", "pattern"])

@@ -46,9 +46,9 @@ def simulator(sampling=SAMPLING, bodies=BODIES, **kw):
 
 @pytest.fixture(autouse=True)
 def several_threads(monkeypatch):
-    """Have other threads make the pings, small as they are, also on one core."""
+    """Have another thread make the pings, small as they are, and as many ahead on any number of cores."""
     monkeypatch.setattr(sequence, "FEW_SAMPLES", 0)
-    monkeypatch.setattr(sequence, "n_threads", lambda: max(2, threads.n_threads()))
+    monkeypatch.setattr(sequence, "n_threads", lambda: 2)
 
 
 @pytest.fixture
@@ -947,16 +947,16 @@ def test_one_core_has_no_thread_make_pings(handed_over, monkeypatch):
 
 
 def test_the_caller_makes_pings_while_it_waits_for_the_first(it, monkeypatch):
-    monkeypatch.setattr(sequence, "n_threads", lambda: 2)
     expected, receive = [it.ping(pose) for pose in POSES], pipeline.receive
-    has_begun, has_made = threading.Event(), threading.Event()
+    has_begun, has_made, were_made = threading.Event(), threading.Event(), []
 
     def wait_for_the_caller(drawn):
         if threading.current_thread() is threading.main_thread():
             has_made.set()
         else:
             has_begun.set()
-            assert has_made.wait(60)
+            were_made.append(has_made.wait(20))
+            has_made.set()  # whatever comes after a wait in vain need not wait
         return receive(drawn)
 
     class Waiting(JobThreads):
@@ -968,16 +968,31 @@ def test_the_caller_makes_pings_while_it_waits_for_the_first(it, monkeypatch):
     monkeypatch.setattr(sequence, "JobThreads", Waiting)
     for ping, other in zip(it.pings(POSES), expected, strict=True):
         check_same(ping, other)
+    assert all(were_made)
+
+
+@pytest.mark.parametrize("is_first_made", [True, False])
+def test_the_caller_makes_no_ping_after_the_first_is_there(is_first_made):
+    """It has that one to hand over, and the others are the threads' to make."""
+    first, second = jobs = Job(lambda: None), Job(lambda: None)
+    if is_first_made:
+        first.settle()
+    sequence.PingThreads(None).help_with(jobs)
+    assert first.is_over and not second.is_over
 
 
 def test_threads_and_the_caller_are_as_many_as_the_cores(monkeypatch):
+    def n_alive():
+        return sum(thread.name == "sonar_gl ping" for thread in threading.enumerate())
+
+    wait_until(lambda: n_alive() == 0)  # those of sequences before, which end by themselves
     monkeypatch.setattr(sequence, "n_threads", lambda: 4)
     with simulator(engine="cpu") as it:
         pings = it.pings(POSES)
         next(pings), next(pings)
-        assert sum(thread.name == "sonar_gl ping" for thread in threading.enumerate()) == 3
+        assert n_alive() == 3
         pings.close()
-        wait_until(lambda: all(thread.name != "sonar_gl ping" for thread in threading.enumerate()))
+        wait_until(lambda: n_alive() == 0)
 
 
 def test_a_worker_keeps_its_memory_as_samples_become_fewer_and_more(it, monkeypatch):

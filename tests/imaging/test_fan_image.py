@@ -482,7 +482,7 @@ def test_a_colour_map_that_is_no_name():
 
 
 def test_geometry_is_plain_and_comparable():
-    assert fan_geometry(fan_ping(), 100) == fan_geometry(fan_ping(), 100)
+    assert fan_geometry(fan_ping(), 100) == fan_geometry(fan_ping(), 100) != fan_geometry(fan_ping(), 101)
     assert isinstance(fan_geometry(fan_ping(), 100), FanGeometry)
 
 

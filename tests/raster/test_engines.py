@@ -9,6 +9,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.beamform.kernels import range_bins
+from sonar_gl.engine import world
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu import engine as cpu
 from sonar_gl.raster.cull import SectorGeometry
@@ -398,6 +399,7 @@ def small_world():
 
 
 def test_two_threads_draw_the_same_samples_as_one(monkeypatch):
+    monkeypatch.setattr(world, "n_threads", lambda: 2)  # also on one core
     scene = sg.Scene([*small_world().bodies, ball("patchy", sg.pose(9, 2), np.linspace(0.1, 1, 1280))])
     draw_sectors(scene, SONAR, np.eye(4), "cpu")  # the first simulator of a process draws once by itself
     got, parts = [], []
@@ -423,6 +425,7 @@ def test_views_of_lobes_alone_are_shaded_with_the_whole_view(name, is_threaded, 
     draw_windows = cpu.draw_windows
     monkeypatch.setattr(cpu, "draw_windows", lambda *a: drawn.append(1) or draw_windows(*a))
     monkeypatch.setattr(cpu, "FEW_NS", 0 if is_threaded else 10**12)
+    monkeypatch.setattr(world, "n_threads", lambda: 2)
     poses = [scene.sonar_pose, scene.sonar_pose @ sg.pose(0.1, yaw=0.1), scene.sonar_pose @ sg.pose(0.2)]
     with sg.Simulator(scene, SONAR, sg.Acoustics.physical(), SAMPLING, engine="cpu") as simulator:
         run, renderer = simulator.run, simulator.run.sampler.resolution.stage.renderer

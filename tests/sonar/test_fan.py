@@ -116,25 +116,26 @@ def test_box_beams_consist_of_complete_columns(name):
     assert ((np.abs(shares) < 1e-5) | (np.abs(shares - 1) < 1e-5)).all()
 
 
+@pytest.mark.parametrize(("shear", "wider"), [(SHEAR, 1.0), (-SHEAR, math.sqrt(2))])
 @pytest.mark.parametrize(
     ("beam_width_deg", "columns_per_beam", "least_per_spacing"),
     [(1.0, 3.516, 0), (1.0, 1.0, 2), (0.5, 1.0, 45 / 16), (90.0, 0.2, 0.25)],
 )
-def test_columns_of_smooth_patterns(beam_width_deg, columns_per_beam, least_per_spacing):
+def test_columns_of_smooth_patterns(beam_width_deg, columns_per_beam, least_per_spacing, shear, wider):
     """Columns are as wide as a sample, at most half a spacing and an eighth of a beam; wider if beams are much wider.
 
     As samples, they are even on the plane of a view. Under wider samples their number is the least that is a multiple
-    of 24.
+    of 24. Those of the mirror image, with which a ping is compared, may be wider as its samples are.
     """
     sonar = make_sonar(n_beams=256, beam_width_deg=beam_width_deg)
     support_rad = Acoustics.physical().receive_support_rad(sonar)
-    fan = make_fan(sonar, sg.Sampling(columns_per_beam, 16), BeamShape(support_rad, is_box=False))
+    fan = make_fan(sonar, sg.Sampling(columns_per_beam, 16), BeamShape(support_rad, is_box=False), shear)
     edges, n_views = fan.column_edges_rad, len(fan.sectors)
     half_rad, n = (edges[-1] - edges[0]) / n_views / 2, fan.n_columns // n_views
     for k, sector in enumerate(fan.sectors):
         u = np.tan(edges[k * n : (k + 1) * n + 1] - sector.azimuth_rad)
         np.testing.assert_allclose(np.diff(u), 2 * math.tan(half_rad) / n, rtol=1e-9)
-    least = 2 * math.tan(half_rad) / math.radians(45 / 256) * least_per_spacing
+    least = 2 * math.tan(half_rad) / math.radians(45 / 256) * least_per_spacing / wider
     if least:
         assert n == 24 * math.ceil(least / 24)
     else:
