@@ -1828,13 +1828,13 @@ MUTATIONS = (
     ),
     Mutation(
         "costs/check",
-        "return CHECK_COST * cost if check else cost",
-        "return cost",
+        "return CHECK_COST * self._cost(level) <= MOST_COST * median(costs)",
+        "return self._cost(level) <= MOST_COST * median(costs)",
         ("test_adaptive::TestMoving::test_a_check_waits_until_it_costs_no_more_than_a_ping_may",),
     ),
     Mutation(
         "costs/check that waits",
-        "if not (resolution.check or is_first_echo or self._can_check(self.history)):",
+        "if not (resolution.check or is_first_echo or self._can_check(choice.level, self.history.costs)):",
         "if not (resolution.check or is_first_echo):",
         ("test_adaptive::TestMoving::test_a_change_of_the_echo_is_estimated_at_once_if_that_costs_no_more",),
     ),
