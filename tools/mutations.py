@@ -1956,6 +1956,12 @@ MUTATIONS = (
         ("batch/test_batch::test_hulls_are_known_of_scenes_that_were_loaded",),
     ),
     Mutation(
+        "render/what else is named like a hull",
+        "return [pattern] if set(matched) == set(parts) else parts",
+        "return [pattern]",
+        ("test_render::test_a_hull_that_stays_behind_is_warned_of",),
+    ),
+    Mutation(
         "render/hull that stays behind",
         "return model if self.parts_of(model) else None",
         "return None",

@@ -26,7 +26,7 @@ from sonar_gl.noise.receiver import receiver_levels_db
 from sonar_gl.noise.settings import PRESETS, Noise, check_moved_amounts
 from sonar_gl.ros.messages import MAX_TIME_S as MAX_ROS_TIME_S
 from sonar_gl.scene.load import load_scene
-from sonar_gl.scene.scene import Scene, hull_text
+from sonar_gl.scene.scene import Scene, hull_patterns, hull_text
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
@@ -146,7 +146,8 @@ class BatchRequests(Sequence):
         _check_last_time(job, self.runs[-1])
         self._starts = [run.numbers.start for run in self.runs]
         self._scenes, self._moved_names, self._apart_groups, self._files = {}, {}, {}, {}
-        self._vehicles: dict[int, tuple[str | None, list[str]]] = {}  # of each scene, and what is in it
+        # of each scene the model, the names of what is in it, and patterns of these
+        self._vehicles: dict[int, tuple[str | None, list[str], list[str]]] = {}
         self._check_names_of_bodies()
 
     def _load_trajectory(self, index: int) -> Trajectory:
@@ -193,10 +194,11 @@ class BatchRequests(Sequence):
         for index, name in enumerate(self.job.scenes):
             if index not in self._vehicles:
                 self.scene(index)
-            model, parts = self._vehicles[index]
+            model, parts, patterns = self._vehicles[index]
             if model is not None and not matching_names(moved, [model, *parts]):
                 place = f"{self.job.where}: scenes[{index}], {name!r}"
-                yield f'warning: {place}: {hull_text(model)} (leave it out: without = ["{model}*"])'
+                names = ", ".join(f'"{pattern}"' for pattern in patterns)
+                yield f"warning: {place}: {hull_text(model)} (leave it out: without = [{names}])"
 
     def __len__(self) -> int:
         return self.runs[-1].numbers.stop
@@ -293,7 +295,8 @@ class BatchRequests(Sequence):
         while len(self._scenes) > 1:
             self._scenes.pop(next(iter(self._scenes)))
         vehicle = scene.vehicle()
-        self._vehicles[index] = vehicle, list(scene.parts_of(vehicle))
+        patterns = [] if vehicle is None else hull_patterns(scene, vehicle)
+        self._vehicles[index] = vehicle, list(scene.parts_of(vehicle)), patterns
         self._scenes[index] = scene
 
     def _check_names_of_bodies(self) -> None:

@@ -20,7 +20,7 @@ from sonar_gl.core.checks import check_number
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.poses import pose, read_poses
 from sonar_gl.scene.load import load_scene
-from sonar_gl.scene.scene import Scene, hull_text
+from sonar_gl.scene.scene import Scene, hull_patterns, hull_text
 from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR
 from sonar_gl.sonar.sonar import Sonar, load_sonar
 
@@ -122,7 +122,8 @@ def poses_from(options, scene: Scene) -> tuple[np.ndarray | None, list | np.ndar
 def warn_of_hull(scene: Scene) -> None:
     """Warn that a sonar that moves leaves the hull of its vehicle behind, if the scene has one."""
     if (model := scene.vehicle()) is not None:
-        warnings.warn(f"{hull_text(model)} (leave it out: --without '{model}*')", stacklevel=2)
+        options = " ".join(f"--without '{pattern}'" for pattern in hull_patterns(scene, model))
+        warnings.warn(f"{hull_text(model)} (leave it out: {options})", stacklevel=2)
 
 
 def _parse_pose(text: str) -> np.ndarray:

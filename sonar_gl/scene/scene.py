@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from sonar_gl.core.checks import ArraysStayReadOnly, check_kind, check_number, frozen_array, shown
 from sonar_gl.core.errors import Error, errors_at, nearest_of_many
-from sonar_gl.core.names import names_of
+from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.core.poses import MAX_POSITION_M, check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.materials import material
@@ -230,6 +230,13 @@ def hull_text(model: str) -> str:
     return (
         f"poses move the sonar alone: model {model!r}, which carries it, stays where it is, and returns echo"
     )
+
+
+def hull_patterns(scene: Scene, model: str) -> list[str]:
+    """Return patterns of names that match what is in a model, and nothing beside it: "rov*" matches "rov_dock", too."""
+    parts, pattern = list(scene.parts_of(model)), f"{model}*"
+    matched = matching_names([pattern], (thing.name for thing in scene.bodies_and_plumes))
+    return [pattern] if set(matched) == set(parts) else parts
 
 
 class Scene(ArraysStayReadOnly):

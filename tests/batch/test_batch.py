@@ -285,6 +285,12 @@ def test_a_hull_that_stays_behind_is_warned_of(tmp_path, requests):
         f"warning: {path}: scenes[0], 'tank.sdf': poses move the sonar alone: model 'wall', which carries it, stays "
         'where it is, and returns echo (leave it out: without = ["wall*"])'
     )
+    world = (tmp_path / "tank.sdf").read_text()
+    (tmp_path / "tank.sdf").write_text(
+        world.replace("</world>", f"{BODY.format('wall_2', '9 9 0', '1 1 1')}</world>")
+    )
+    (text,) = BatchRequests(read_job(path)).hull_warnings()
+    assert text.endswith('(leave it out: without = ["wall"])')
     for old, new in (("tolerance", 'without = ["wall*"]\ntolerance'), ('["box_*"]', '["box_*", "wall"]')):
         job = path.read_text()
         path.write_text(job.replace(old, new, 1))

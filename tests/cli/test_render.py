@@ -278,6 +278,10 @@ def test_a_hull_that_stays_behind_is_warned_of():
         "(leave it out: --without 'rov*')\n"
     )
     assert run("render", *sequence, "--without", "rov*")[2] == ""
+    dock = BODY.format("rov_dock", "8 3 0", "0.4 0.4 0.2")  # which that pattern would leave out, too
+    Path("rov.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}{vehicle}{dock}</world></sdf>')
+    assert run("render", *sequence)[2].endswith(" (leave it out: --without 'rov')\n")
+    assert run("render", *sequence, "--without", "rov")[2] == ""
     assert run("render", *SEQUENCE, "--format", "npz")[2] == ""  # the sensor is alone in its model
     assert run("render", *sequence[:3], "--tolerance", 0.05, "--format", "npz")[2] == ""  # does not move
 
