@@ -624,14 +624,14 @@ MUTATIONS = (
     ),
     Mutation(
         "meshes/vertices changed in place",
-        "in (surface.vertices, surface.faces) if",
-        "in (surface.faces,) if",
+        "np.array_equal(mesh.vertices, before.vertices) and",
+        "",
         (CHANGED_MESH,),
     ),
     Mutation(
         "meshes/faces changed in place",
-        "in (surface.vertices, surface.faces) if",
-        "in (surface.vertices,) if",
+        "and np.array_equal(mesh.faces, before.faces)",
+        "",
         (CHANGED_MESH,),
     ),
     Mutation(

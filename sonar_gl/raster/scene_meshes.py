@@ -4,7 +4,6 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import fields
 from functools import cached_property
 from typing import NamedTuple
@@ -37,11 +36,6 @@ from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import NEAR_M, SURFACE_MARGIN_M
 
 LEVEL_FIELDS = tuple(field.name for field in fields(Levels))
-
-
-def _content(surface) -> tuple[int, ...]:
-    """Return hashes of what a mesh holds now: a trimesh, whose arrays have them, may be changed in place."""
-    return tuple(hash(array) for array in (surface.vertices, surface.faces) if isinstance(array, Hashable))
 
 
 class _KnownMesh(NamedTuple):
@@ -119,7 +113,7 @@ class SceneMeshes:
         for number, body in enumerate(bodies, len(self.bodies)):
             by_face = np.ndim(body.reflectivity) > 0
             made_of = body.surface, body.normals, body.reflectivity if by_face else None
-            key = *map(id, made_of), _content(body.surface)
+            key = tuple(map(id, made_of))
             known = self._known_mesh(key) or new.get(key)
             if known is None:
                 one = mesh_with_levels(body)
