@@ -47,7 +47,9 @@ def _state_of_files() -> dict:
     found = {"python": sys.version, "numba": numba.__version__, "folder": str(numba.config.CACHE_DIR)}
     for path in sorted(PACKAGE.rglob("*.py")):
         if re.search(
-            r"^@(compiled|rounded_alike|uncounted)\b", path.read_text(encoding="utf-8"), re.MULTILINE
+            r"^@(added_in_any_order|compiled|rounded_alike|uncounted)\b",
+            path.read_text(encoding="utf-8"),
+            re.MULTILINE,
         ):
             for source in sources_of(str(path)):
                 state = os.stat(source)
