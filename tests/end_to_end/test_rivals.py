@@ -188,6 +188,7 @@ def test_time_at_an_error_is_interpolated_never_extrapolated():
     assert time_at(POINTS, 0.001) == (pytest.approx(100.0), "")
     assert time_at(POINTS, 0.0009) == (100.0, ">")
     assert time_at(POINTS, 0.2) == (1.0, "<")
+    assert time_at([*POINTS, (1.1, 0.3)], 0.2) == (1.0, "")  # coarser samples take no less
 
 
 @pytest.mark.parametrize(

@@ -39,14 +39,14 @@ def envelope(points) -> np.ndarray:
 def time_at(points, error: float) -> tuple[float, str]:
     """Return the milliseconds for an error, log-log between the points of the envelope, and a mark.
 
-    The mark is ">" where the slowest point still errs more, "<" where the quickest errs less, with its time;
-    else "".
+    The mark is ">" where the slowest point still errs more, "<" where all points err less, with the time of the
+    quickest; else "". Where that of the quickest does, and a slower one errs more, nothing is quicker.
     """
     front = envelope(points)
     if error < front[-1, 1]:
         return float(front[-1, 0]), ">"
     if error > front[0, 1]:
-        return float(front[0, 0]), "<"
+        return float(front[0, 0]), "" if max(one for _, one in points) >= error else "<"
     ms, errors = np.log(front[::-1]).T
     return float(np.exp(np.interp(np.log(error), errors, ms))), ""
 
