@@ -1945,8 +1945,8 @@ MUTATIONS = (
     ),
     Mutation(
         "batch/hull that the job moves",
-        "model is not None and not matching_names(moved, [model, *parts])",
-        "model is not None",
+        "vehicle is not None and not matching_names(moved, [vehicle.model, *vehicle.parts])",
+        "vehicle is not None",
         ("batch/test_batch::test_a_hull_that_stays_behind_is_warned_of",),
     ),
     Mutation(

@@ -554,9 +554,9 @@ class PartMaker:
                     self._report_warning(warning, task, scene, sonar)
 
     def _report_warning(self, warning: CollectedWarning, task: _Part, scene: int, sonar: str) -> None:
-        text = _placed(warning, self._batch, scene, sonar)
         if issubclass(warning.category, NoEchoWarning):
             return
+        text = _placed(warning, self._batch, scene, sonar)
         if issubclass(warning.category, ToleranceWarning):
             if (scene, sonar) in self._unmet:
                 return

@@ -8,6 +8,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -110,6 +111,14 @@ class TrajectoryRun:
     delay_s: float
 
 
+class _Vehicle(NamedTuple):
+    """What carries the sonar in a scene: the model, the names of what is in it, and patterns that match these alone."""
+
+    model: str
+    parts: list[str]
+    patterns: list[str]
+
+
 class BatchRequests(Sequence):
     """The requests of a job, a sequence by ping number.
 
@@ -146,8 +155,7 @@ class BatchRequests(Sequence):
         _check_last_time(job, self.runs[-1])
         self._starts = [run.numbers.start for run in self.runs]
         self._scenes, self._moved_names, self._apart_groups, self._files = {}, {}, {}, {}
-        # of each scene the model, the names of what is in it, and patterns of these
-        self._vehicles: dict[int, tuple[str | None, list[str], list[str]]] = {}
+        self._vehicles: dict[int, _Vehicle | None] = {}  # of each scene; None without a hull
         self._check_names_of_bodies()
 
     def _load_trajectory(self, index: int) -> Trajectory:
@@ -194,11 +202,11 @@ class BatchRequests(Sequence):
         for index, name in enumerate(self.job.scenes):
             if index not in self._vehicles:
                 self.scene(index)
-            model, parts, patterns = self._vehicles[index]
-            if model is not None and not matching_names(moved, [model, *parts]):
+            vehicle = self._vehicles[index]
+            if vehicle is not None and not matching_names(moved, [vehicle.model, *vehicle.parts]):
                 place = f"{self.job.where}: scenes[{index}], {name!r}"
-                names = ", ".join(f'"{pattern}"' for pattern in patterns)
-                yield f"warning: {place}: {hull_text(model)} (leave it out: without = [{names}])"
+                names = ", ".join(f'"{pattern}"' for pattern in vehicle.patterns)
+                yield f"warning: {place}: {hull_text(vehicle.model)} (leave it out: without = [{names}])"
 
     def __len__(self) -> int:
         return self.runs[-1].numbers.stop
@@ -294,9 +302,11 @@ class BatchRequests(Sequence):
             scene = scene.with_surface(job.surface_z_m)
         while len(self._scenes) > 1:
             self._scenes.pop(next(iter(self._scenes)))
-        vehicle = scene.vehicle()
-        patterns = [] if vehicle is None else hull_patterns(scene, vehicle)
-        self._vehicles[index] = vehicle, list(scene.parts_of(vehicle)), patterns
+        model = scene.vehicle()
+        hull = (
+            None if model is None else _Vehicle(model, [*scene.parts_of(model)], hull_patterns(scene, model))
+        )
+        self._vehicles[index] = hull
         self._scenes[index] = scene
 
     def _check_names_of_bodies(self) -> None:

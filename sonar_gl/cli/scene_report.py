@@ -11,12 +11,11 @@ from sonar_gl.cli.common import describe_sonar, scene_from
 from sonar_gl.cli.report import table_text
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.extent import (
-    air_text,
     body_bounds,
     bounds_of,
-    inside_text,
     is_infinite,
     millimetres_text,
+    place_texts,
     size_text,
 )
 from sonar_gl.scene.load import is_sdf, is_turned
@@ -39,8 +38,7 @@ def scene_report(scene_name: str, options) -> str:
     messages += filter(None, [millimetres_text(scene)])
     if scene.sonar_pose is not None:
         poses, present = [body.pose for body in scene.bodies], np.ones(len(scene.bodies), bool)
-        around = inside_text(scene.bodies, poses, present, scene.sonar_pose[:3, 3])
-        messages += filter(None, [air_text(scene, scene.sonar_pose), around])
+        messages += place_texts(scene, poses, present, scene.sonar_pose)
     note = ECHOING if is_sdf(scene_name) else TURNED if is_turned(scene_name) else ""
     return report_text(scene, messages, note)
 

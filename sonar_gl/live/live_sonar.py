@@ -26,7 +26,7 @@ from sonar_gl.live.surfaces import surface_in_bin
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.hidden_labels import without_hidden_labels
 from sonar_gl.ping import Ping
-from sonar_gl.scene.extent import air_text, inside_text
+from sonar_gl.scene.extent import place_texts
 from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.counts import LEVEL_BOUND_DB
@@ -128,8 +128,7 @@ class LiveSonar:
             return []
         if self._place_notes is None:
             state = simulator.run.set_up(PingRequest(pose, time_s=request.place.time_s)).state
-            around = inside_text(self._scene.bodies, state.poses, state.present, pose[:3, 3])
-            self._place_notes = [text for text in (air_text(self._scene, pose), around) if text]
+            self._place_notes = place_texts(self._scene, state.poses, state.present, pose)
         return self._place_notes
 
     def still(self, frame: LiveFrame) -> LiveFrame:

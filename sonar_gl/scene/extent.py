@@ -89,6 +89,18 @@ def air_text(scene: Scene, pose: np.ndarray) -> str:
     )
 
 
+def place_texts(scene: Scene, poses: np.ndarray, present: np.ndarray, pose: np.ndarray) -> list[str]:
+    """Return the warnings of a sonar in the air and inside a body, as far as there are any.
+
+    Parameters
+    ----------
+    poses, present : of `body_around`
+    pose : (4, 4) world_from_sonar
+    """
+    texts = air_text(scene, pose), inside_text(scene.bodies, poses, present, pose[:3, 3])
+    return [text for text in texts if text]
+
+
 def inside_text(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, place: np.ndarray) -> str:
     """Return the warning of a sonar inside a body, or below a terrain; "" without one; parameters of `body_around`.
 

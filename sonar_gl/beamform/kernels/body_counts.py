@@ -97,7 +97,7 @@ def count_samples(samples, parts, weights, totals):
     samples, parts, weights, totals : tuples of CountedSamples, ReceivedParts, EchoWeights and BodyTotals
     """
     plane_echo, body_id, (places, u, v, limits), is_counted, every = samples
-    sums = np.empty((is_counted.shape[0], JJ + 1))
+    sums, strands = np.empty((is_counted.shape[0], JJ + 1)), BodyTotals(*totals).strands
     for s in range(places.shape[0]):
         left, columns, rows = places[s, 0], places[s, 1], places[s, 2]
         if rows == 0:
@@ -109,7 +109,7 @@ def count_samples(samples, parts, weights, totals):
         lattice = Lattice(u[s], v[s], limits[s, 0], limits[s, 1], columns, limits[s, 2], limits[s, 3])
         _count_sector(image, lattice, parts, s, weights, totals, sums)
         for body in range(sums.shape[0]):
-            totals[5][body] += _strands(sums, body)
+            strands[body] += _strands(sums, body)
 
 
 @inlined
