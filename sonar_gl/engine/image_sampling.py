@@ -142,7 +142,7 @@ class ImageSampling:
         check : the error of this ping's direct echo is estimated. That of its multipath would take as long again: it is
             due in the next ping
         """
-        if self._each_alone or self.choice.error is None:
+        if self._begins_anew:
             return self.begin_alone()
         if not self.choice.is_fixed:
             halvings = COARSEST if self.choice.is_due else self.choice.halvings
@@ -151,8 +151,13 @@ class ImageSampling:
 
     @property
     def halvings_ahead(self) -> int:
-        """The halvings of a ping that is made while those before are awaited: they go on from theirs."""
-        return self.halvings_alone if self._each_alone else self.choice.halvings
+        """The halvings of a ping that is made while those before are awaited: theirs, as far as is known."""
+        return self.halvings_alone if self._begins_anew else self.choice.halvings
+
+    @property
+    def _begins_anew(self) -> bool:
+        """Whether the next ping begins as if none had been made before."""
+        return self._each_alone or self.choice.error is None
 
     @property
     def halvings_alone(self) -> int:

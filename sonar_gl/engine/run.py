@@ -255,9 +255,19 @@ class Run:
 
         choice : `Sampler.choice` when the ping was started
         """
-        if received.drawn.resolution.plan is not None:  # its samples were chosen from it alone
+        before = self.image_sampling.choice
+        if must_again := self._must_again(received, choice):
+            self.image_sampling.choice = before  # as if the ping had not been made
+        return must_again
+
+    def _must_again(self, received: ReceivedPing, choice: object) -> bool:
+        """Adapt how finely image sources are sampled; return whether a ping of `review_ahead` must be made again."""
+        resolution = received.drawn.resolution
+        if resolution.plan is not None:  # its samples were chosen from it alone
             self.image_sampling.begin_alone()
         elif choice is not self.sampler.choice or self.sampler.has_changed(received.direct.total):
+            return True
+        elif self.image_sampling.begin(check=False) != resolution.halvings:  # one of those before changed it
             return True
         return self._review_images(received)
 

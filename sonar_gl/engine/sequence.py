@@ -116,7 +116,7 @@ class _Upcoming:
                     return _Batch(batch, must_wait=True)
                 return _Batch([self._taken(setup, sampler.history_with_apart(setup))], is_apart=True)
             history = sampler.history_with(setup)
-            if sampler.is_check_due(history):
+            if sampler.is_check_due(history) or self._run.image_sampling.choice.is_due:
                 return _Batch(batch, must_wait=True)
             batch.append(self._taken(setup, history))
         return _Batch(batch)

@@ -753,6 +753,24 @@ def test_pings_far_from_each_other_are_those_of_single_calls(labels, multipath, 
         check_same(one, other)
 
 
+@pytest.mark.parametrize(("step_m", "tolerance"), [(0.02, 0.02), (0.06, 0.05)])
+def test_image_sources_are_sampled_as_in_single_calls(step_m, tolerance):
+    """Where a check has made a comparison due, the next ping waited for none; one made again skipped its own."""
+    bodies = [
+        sg.Body("ball", trimesh.creation.icosphere(3, 0.6), sg.pose(5), 0.8),
+        sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(8, 1.5), 0.8),
+        sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -2.5), "steel"),
+        sg.Body("wall", trimesh.creation.box((1, 60, 20)), sg.pose(11), "steel"),
+    ]
+    acoustics = sg.Acoustics("ideal", multipath="incoherent")
+    poses, runs = [sg.pose(step_m * k, yaw=0.01 * k) for k in range(40)], []
+    for many in (True, False):
+        with sg.Simulator(sg.Scene(bodies), SONAR, acoustics, tolerance=tolerance, engine="cpu") as it:
+            runs.append(list(it.pings(poses) if many else map(it.ping, poses)))
+    for one, other in zip(*runs, strict=True):
+        check_same(one, other)
+
+
 def test_pings_that_nobody_took_change_no_later_one():
     """Threads were ahead by some when the sequence was closed; later pings followed one of them, unseen."""
     with sg.Simulator(round_about(), SONAR, sg.Acoustics.ideal(), tolerance=0.05, engine="cpu") as it:
