@@ -265,11 +265,11 @@ class Run:
         resolution = received.drawn.resolution
         if resolution.plan is not None:  # its samples were chosen from it alone
             self.image_sampling.begin_alone()
-        elif choice is not self.sampler.choice or self.sampler.has_changed(received.direct.total):
+            return self._review_images(received)
+        if choice is not self.sampler.choice or self.sampler.has_changed(received.direct.total):
             return True
-        elif self.image_sampling.begin(check=False) != resolution.halvings:  # one of those before changed it
-            return True
-        return self._review_images(received)
+        # those before may have changed how finely it has to be sampled
+        return self.image_sampling.begin(check=False) != resolution.halvings or self._review_images(received)
 
     def _review_images(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> bool:
         """Adapt how finely image sources are sampled; return whether those of this ping are to be drawn finer.
