@@ -35,8 +35,9 @@ from .simulator import Simulator as Simulator
 from .sonar.counts import Counts as Counts
 from .sonar.sampling import Sampling as Sampling
 from .sonar.sonar import Sonar as Sonar
-from .sonar.sonar import load_sonar as load_sonar
-from .sonar.sonar import presets as presets
+from .sonar.sonar_files import load_sonar as load_sonar
+from .sonar.sonar_files import presets as presets
+from .sonar.sonar_files import save_sonar as save_sonar
 
 __version__: str
 
@@ -76,6 +77,7 @@ __all__ = [
     "save_animation",
     "save_npz",
     "save_png",
+    "save_sonar",
     "textured_body",
     "view",
 ]

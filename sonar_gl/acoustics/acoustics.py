@@ -147,7 +147,7 @@ class Acoustics:
     Error
         if a name is unknown, has moved to `Sonar` or `Water`, or a number is out of bounds.
 
-    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> Acoustics.physical(tvg_k=40.0).range_gain(np.array([1.0, 10.0]), load_sonar("p900-45")).round(9).tolist()
     [1.0, 100.0]
     """
@@ -368,7 +368,7 @@ class Acoustics:
         -------
         linear power, float64, of the shape of `range_m`
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> Acoustics.physical(tvg_k=30.0, tvg_absorption_db_m=0.5).tvg([10.0], load_sonar("p900-45")).tolist()
         [10000.0]
         """
@@ -404,7 +404,7 @@ class Acoustics:
         -------
         function (grazing_rad) -> cross section per area and steradian, linear
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> windy = Acoustics.physical(water=Water(wind_speed_m_s=7.0))
         >>> round(float(10 * np.log10(windy.surface_backscatter(load_sonar("p900-45"))(np.radians(20.0)))), 1)
         -27.6
@@ -432,7 +432,7 @@ class Acoustics:
         Error
             if a straight array has to form beams along its own line.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> pattern = Acoustics.physical(far_side_lobes=False).receive_pattern(load_sonar("p900-45"))
         >>> round(float(pattern(np.radians(10.5), np.radians(10.0))), 9)  # half of its width off the axis
         0.5
@@ -462,7 +462,7 @@ class Acoustics:
         Lenses, curved arrays and arrays of several faces have upright beams; so have fans that look further aside than
         MAX_STEER_DEG, along their own array.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> [Acoustics.physical().has_cones(load_sonar(name)) for name in ("oculus-m750d-lf", "didson-hf")]
         [True, False]
         """
@@ -493,7 +493,7 @@ class Acoustics:
         A box ends at half its width, a line array at its 4th null (see `ArrayPattern.support_sine`), and a Gaussian
         beam where its power is 1e-4. With `steered="straight"` it is that of the beam where it is widest.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> round(math.degrees(Acoustics.physical().receive_support_rad(load_sonar("p900-45"))), 2)  # 4 / 0.886 widths
         4.52
         """
@@ -513,7 +513,7 @@ class Acoustics:
     def receive_widths_rad(self, sonar: Sonar, azimuth_rad: ArrayLike) -> np.ndarray:
         """Return the −3 dB widths of receive beams at these azimuths, radians, in the plane of the fan.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> sonar = load_sonar("p900-45,steered=straight")
         >>> np.degrees(Acoustics.physical().receive_widths_rad(sonar, np.radians([0.0, 60.0]))).round(2).tolist()
         [1.0, 2.0]
@@ -529,7 +529,7 @@ class Acoustics:
 
         Without a transmit beam, it is the distance of two nulls of the receive pattern.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> sonar = load_sonar("p900-45,transmit_width_deg=none")
         >>> round(math.degrees(Acoustics.physical().null_rad(sonar)), 2)  # 1 / 0.886 widths
         1.13
@@ -554,7 +554,7 @@ class Acoustics:
         -------
         function (azimuth_rad) -> linear one-way power, 1 on the boresight
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> pattern = Acoustics.physical().transmit_pattern(load_sonar("p900-45,transmit_width_deg=60"))
         >>> round(float(pattern(np.radians(30.0))), 9)
         0.5
@@ -578,7 +578,7 @@ class Acoustics:
         -------
         function (sine of elevation) -> linear two-way power, 1 on the boresight
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> pattern = Acoustics.physical().two_way_elevation_pattern(load_sonar("p900-45"))  # 20 degrees high
         >>> round(float(pattern(np.sin(np.radians(10.0)))), 9)
         0.5
@@ -591,7 +591,7 @@ class Acoustics:
 
         Noise of the water is received by it, echoes by the two-way pattern.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> pattern = Acoustics.physical().one_way_elevation_pattern(load_sonar("p900-45"))  # 20 degrees high
         >>> round(float(pattern.power(np.sin(np.radians(10.0)))), 9)  # its square is 0.5
         0.707106781
@@ -608,7 +608,7 @@ class Acoustics:
 
         The main lobe ends where the two-way power is ELEVATION_SUPPORT_LEVEL; a box ends at half its aperture.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> sonar = load_sonar("p900-45")
         >>> Acoustics.ideal().elevation_support_deg(sonar), round(Acoustics.physical().elevation_support_deg(sonar), 2)
         (10.0, 27.35)
@@ -622,7 +622,7 @@ class Acoustics:
     def dense_elevation_deg(self, sonar: Sonar) -> float:
         """Return the elevation, degrees, beyond which the two-way pattern is so weak that coarse samples suffice.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> round(Acoustics.physical().dense_elevation_deg(load_sonar("p900-45")), 2)
         17.65
         """
@@ -659,7 +659,7 @@ class Acoustics:
     def pulse_level(self, sonar: Sonar) -> float:
         """Return the factor of the matched filter on the sum of an echo: resolution cell over bin, 1 at least.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> round(Acoustics().pulse_level(load_sonar("p900-45,bandwidth_hz=20e3")), 2)  # 50.8 mm over 25.4 mm
         2.0
         """
@@ -671,7 +671,7 @@ class Acoustics:
     def pulse_response(self, sonar: Sonar) -> PulseResponse:
         """Return bandwidth and taper of the pulse, and the speed of sound.
 
-        >>> from sonar_gl.sonar.sonar import load_sonar
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> pulse = Acoustics(water=Water(sound_speed_m_s=1500.0)).pulse_response(load_sonar("p900-45"))
         >>> round(pulse.bandwidth_hz)  # 1.3628 c / 2 / 25.4 mm
         40241

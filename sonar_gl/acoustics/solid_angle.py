@@ -51,7 +51,7 @@ def beam_solid_angles(sonar: Sonar, acoustics: Acoustics, beam: int | None = Non
     elevation. A cone is ∫ B(β, ψ_b) cos β ∫ p(cos β sin t) dt dβ, where the direction at angle t around the cone that
     is shown at β is (cos β cos t, sin β, cos β sin t). Beams receive nothing from behind.
 
-    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> sonar = load_sonar("p900-45")  # beams of 1 x 20 degrees
     >>> [round(1e3 * sr, 3) for sr in beam_solid_angles(sonar, Acoustics.ideal())]  # 2 sin 10° of a radian in 57.3
     [6.061, 6.061]

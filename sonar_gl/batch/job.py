@@ -55,7 +55,8 @@ REPLACED = {
 # of keys, in messages: the cure of a wrong value
 METRES, RADIANS = "give metres", "give radians: degrees times π/180"
 SONAR = (
-    "name a preset, as 'sonar-gl sonars' lists them, or a file; a batch does not take the sonar of a scene"
+    "name a preset, as 'sonar-gl sonars' lists them, or a file; 'sonar-gl sonars --scene world.sdf > mine.toml' writes "
+    "that of a scene's sensor"
 )
 LAYERS = ("body", "class", "elevation", "range", "incidence", "share", "shadow", "boxes")
 

@@ -31,7 +31,8 @@ from sonar_gl.scene.scene import Scene, hull_patterns, hull_text
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
-from sonar_gl.sonar.sonar import Sonar, load_sonar, too_short_step_s
+from sonar_gl.sonar.sonar import Sonar, too_short_step_s
+from sonar_gl.sonar.sonar_files import load_sonar
 
 # of random numbers; never renumber: the bytes of data sets would change
 VARY_STREAM, NOISE_STREAM, VIEWS_STREAM = 101, 102, 103

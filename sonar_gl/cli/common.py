@@ -22,7 +22,8 @@ from sonar_gl.core.poses import pose, read_poses
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene, hull_patterns, hull_text
 from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 
 MAX_NAMED = 3  # sensors that are not taken
 FILES = ".png", ".npz", ".gif", ".mp4"  # ends of the names of files that commands write

@@ -19,7 +19,8 @@ from sonar_gl.scene.load import bundled_scenes, load_scene
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sampling import Sampling
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 
 SONAR, TOLERANCE, N_PINGS = "p900-45", 0.02, 9  # of the scenes
 UNIT = 2.0**-24  # half of the distance of float32 numbers, relative

@@ -24,7 +24,8 @@ from sonar_gl.live.emulators.simulated_head import SimulatedHead
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.noise.settings import Noise
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 
 # fields of the law of counts that the protocols leave to the device
 OCULUS_COUNTS = ("gain_percentile",)

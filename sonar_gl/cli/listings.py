@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+import os
 import textwrap
 
 import click
 
 from sonar_gl.acoustics.boundary import specular_lobe
 from sonar_gl.cli.report import table_text
-from sonar_gl.scene.load import bundled_scenes, scene_description
+from sonar_gl.core.errors import Error
+from sonar_gl.scene.load import bundled_scenes, load_scene, scene_description
 from sonar_gl.scene.materials import Material, materials
-from sonar_gl.sonar.sonar import presets
+from sonar_gl.sonar.sonar_files import load_sonar, presets, sonar_file_text
 
 LEAST_ECHO = 1e-6  # listed; a perfect reflector has no diffuse part, and next to nothing off its lobe
 MATERIALS_NOTE = """\
@@ -44,6 +46,29 @@ def sonars_text() -> str:
         for name, sonar in presets().items()
     ]
     return table_text(header, rows)
+
+
+def sonar_text(what: str) -> str:
+    """Return the content of a file that describes the sonar of a --sonar."""
+    return sonar_file_text(load_sonar(os.path.expanduser(what))).rstrip("\n")
+
+
+def scene_sonar_text(scene_name: str, options) -> str:
+    """Return the content of a file that describes the sonar of a scene's sensor, and says what was assumed.
+
+    Raises
+    ------
+    Error
+        if the scene's sensors describe none.
+    """
+    scene = load_scene(scene_name, options.resource_path, options.skip_missing)
+    if scene.sonar is None:
+        raise Error(
+            f"scene {scene.name!r} must have a sensor whose tags describe a sonar (got none; "
+            "'sonar-gl sonars' lists the presets)"
+        )
+    sensor = scene.sensors[0]
+    return f"# {sensor}: {sensor.describe()}\n" + sonar_file_text(scene.sonar).rstrip("\n")
 
 
 def materials_text() -> str:

@@ -363,10 +363,36 @@ def scenes():
     echo(cli.listings.scenes_text())
 
 
-@main.command(epilog="Example: sonar-gl sonars", short_help="List the preset sonars.")
-def sonars():
-    """List the preset sonars: beams, field of view, frequency, range, bin size."""
-    echo(cli.listings.sonars_text())
+SONARS_EPILOG = """\b
+Examples:
+  sonar-gl sonars
+  sonar-gl sonars p900-45,receive_taper=hamming > mine.toml
+  sonar-gl sonars --scene world.sdf > vehicle.toml
+"""
+
+
+@main.command(epilog=SONARS_EPILOG, short_help="List the preset sonars, or write one as a file.")
+@click.argument("sonar", required=False, type=PathText())
+@click.option(
+    "--scene", type=PathText(), metavar="SCENE", help="Write the sonar of this scene's sensor as a file."
+)
+@option("resource_path", multiple=True, type=PathText())
+@option("skip_missing", is_flag=True)
+def sonars(sonar, scene, **options):
+    """List the preset sonars: beams, field of view, frequency, range, bin size.
+
+    With SONAR, a preset's name or a file, also with changes, write it as the content of a file instead: to change it,
+    and give it to --sonar or to a job.
+    """
+    if sonar is not None and scene is not None:
+        raise Error("SONAR and --scene exclude each other (leave one out)")
+    if scene is not None:
+        text = cli.listings.scene_sonar_text(scene, SimpleNamespace(**options))
+    elif any(options.values()):
+        raise Error("--resource-path and --skip-missing need --scene (they say how a scene is read)")
+    else:
+        text = cli.listings.sonars_text() if sonar is None else cli.listings.sonar_text(sonar)
+    echo(text)
 
 
 @main.command(epilog="Example: sonar-gl materials", short_help="List the materials.")

@@ -29,7 +29,7 @@ from sonar_gl.live.viewer import LiveView, warn_of_host
 from sonar_gl.noise.settings import Noise
 from sonar_gl.raster.engine import check_engine
 from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR
-from sonar_gl.sonar.sonar import load_sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 
 
 def view(scene_name: str, options) -> None:

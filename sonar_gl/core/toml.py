@@ -1,7 +1,8 @@
-"""Reading TOML files, with errors that name the file."""
+"""Reading TOML files, with errors that name the file, and writing TOML."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from sonar_gl.core.errors import Error
@@ -41,6 +42,28 @@ def read_toml(path: Path, what: str, hint: str = "") -> dict:
     if _is_deep(found):
         raise _nesting_error(path, what)
     return found
+
+
+def toml_text(table: dict) -> str:
+    """Return a line `key = value` for each value of a table; those that are None are left out, as TOML has no null.
+
+    table : of numbers, texts, truth values, lists, and tables of such, by bare keys
+
+    >>> print(toml_text({"name": "a", "rate_hz": 9e5, "depth_m": None, "counts": {"law": "db", "bits": 8}}), end="")
+    name = "a"
+    rate_hz = 900000.0
+    counts = { law = "db", bits = 8 }
+    """
+    return "".join(f"{key} = {value_text(value)}\n" for key, value in table.items() if value is not None)
+
+
+def value_text(value) -> str:
+    """Return a value as TOML."""
+    if isinstance(value, dict):
+        items = [f"{key} = {value_text(one)}" for key, one in value.items() if one is not None]
+        return f"{{ {', '.join(items)} }}"
+    # numbers, texts, lists and truth values are those of JSON, but that TOML has no bare DEL
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _is_deep(found: dict) -> bool:

@@ -15,7 +15,8 @@ from sonar_gl.core.poses import pose_numbers
 from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.noise.settings import PRESETS, Noise
-from sonar_gl.sonar.sonar import UNPARSED, Sonar, presets
+from sonar_gl.sonar.sonar import UNPARSED, Sonar
+from sonar_gl.sonar.sonar_files import presets
 
 POSE_DECIMALS = 6  # of metres and radians: what files and command lines hold of a pose
 

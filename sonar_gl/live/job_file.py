@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from itertools import count
 from pathlib import Path
@@ -13,7 +12,7 @@ from sonar_gl.acoustics.water import DEFAULT_WATER
 from sonar_gl.core.atomic_file import atomic_write
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import read_poses
-from sonar_gl.core.toml import read_toml
+from sonar_gl.core.toml import read_toml, toml_text, value_text
 from sonar_gl.live.command_line import (
     SceneSource,
     acoustics_changes,
@@ -25,7 +24,7 @@ from sonar_gl.live.command_line import (
 from sonar_gl.live.recording import write_poses
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.scene.load import bundled_scenes
-from sonar_gl.sonar.sonar import presets
+from sonar_gl.sonar.sonar_files import presets
 
 STEP_S = 1.0  # between poses
 
@@ -60,7 +59,7 @@ def add_pose(path: Path, world_from_sonar: np.ndarray) -> None:
         write_poses(csv, rows)
         return
     text = path.read_text(encoding="utf-8")
-    table = f'\n[[poses]]\nkind = "trajectory"\nfile = {_toml(csv.name)}  # by sonar-gl view\n'
+    table = f'\n[[poses]]\nkind = "trajectory"\nfile = {value_text(csv.name)}  # by sonar-gl view\n'
     with atomic_write(path) as beside:
         beside.write_text(text + ("" if text.endswith("\n") else "\n") + table, encoding="utf-8")
         try:
@@ -99,7 +98,7 @@ def new_job_text(name: str, settings: LiveSettings, source: SceneSource) -> str:
     sonar |= {} if settings.range_m is None else {"range_m": float(settings.range_m)}
     sonar |= {} if settings.n_bins is None else {"bins": settings.n_bins}
     tables = {
-        "": top,
+        "# poses that sonar-gl view has added": top,
         "[acoustics]": {"profile": acoustics.profile, **acoustics_changes(acoustics)},
         "[water]": changes(acoustics.water, DEFAULT_WATER),
         "[noise]": {"preset": preset, **amounts},
@@ -107,11 +106,8 @@ def new_job_text(name: str, settings: LiveSettings, source: SceneSource) -> str:
     }
     parts = []
     for head, values in tables.items():
-        lines = [head] if head else ["# poses that sonar-gl view has added"]
-        # TOML has no null: what is None is left out, and keeps its default
-        lines += [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
         if values:
-            parts.append("\n".join(lines) + "\n")
+            parts.append(f"{head}\n{toml_text(values)}")
     return "\n".join(parts)
 
 
@@ -120,8 +116,3 @@ def _from_anywhere(text: str) -> str:
     if text.partition(",")[0].strip().casefold() in presets():
         return text
     return str(Path(os.path.expanduser(text)).absolute())  # as `load_sonar` of a command has it
-
-
-def _toml(value) -> str:
-    """Return a value as TOML: its numbers, texts, lists and truth values are those of JSON."""
-    return json.dumps(value, ensure_ascii=False)

@@ -22,7 +22,8 @@ from sonar_gl.noise.settings import Noise
 from sonar_gl.raster.engine_names import ENGINES
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sampling import check_tolerance
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 
 FORMS = "fan", "polar"
 DEFAULT_RATE_HZ = 25.0

@@ -25,7 +25,8 @@ from sonar_gl.ping import Ping
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 
 PORT = 8080
 WAIT_S = 0.2  # between looks at whether a callback has failed

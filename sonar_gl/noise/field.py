@@ -104,7 +104,7 @@ def receiver_power(ping: Ping, noise: Noise) -> np.ndarray | None:
     Error
         if the ping lacks a sonar or acoustics that the levels need.
 
-    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> sonar = load_sonar("p900-45")
     >>> range_m = sonar.range_m
     >>> ping = Ping(np.zeros((1, len(range_m)), np.float32), np.zeros(1), range_m, sonar=sonar)

@@ -117,7 +117,7 @@ def absolute_levels(sonar: Sonar, acoustics: Acoustics, beam: int | None = None)
     ----------
     .. [1] Urick, Principles of Underwater Sound, 3rd ed., 1983
 
-    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> sonar = load_sonar("p900-45,bandwidth_hz=30e3,source_level_db=205")
     >>> levels = absolute_levels(sonar, Acoustics.physical())
     >>> round(levels.directivity_index_db, 1), round(levels.thermal_noise_db, 2), round(levels.echo_level_db, 1)

@@ -25,7 +25,7 @@ def ring_down_power(range_m, sonar: Sonar | None, acoustics: Acoustics | None) -
     -------
     (K,) float64, linear power, at most MAX_POWER
 
-    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> sonar = load_sonar("p900-45,ring_down_db=20,ring_down_decay_db_m=100")
     >>> ring_down_power(np.array([0.2, 0.5]), sonar, Acoustics.ideal()).round(12).tolist()
     [1.0, 0.001]

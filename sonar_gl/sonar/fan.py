@@ -305,7 +305,7 @@ def _upright_edges(seams_rad: np.ndarray, n_columns: int) -> np.ndarray:
 def ends_of_fan_rad(sonar: Sonar, beams: BeamShape) -> tuple[float, float]:
     """Return the azimuths between which the beams receive, radians; columns lie between them.
 
-    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> round(float(ends_of_fan_rad(load_sonar("gemini-720im"), BeamShape(0.1))[1]), 3)  # 45 degrees and 0.1
     0.885
     """

@@ -1,13 +1,10 @@
-"""The data sheet of a sonar, read from presets and TOML files."""
+"""The data sheet of a sonar."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Collection, Iterator
-from dataclasses import MISSING, asdict, dataclass, fields, replace
-from functools import lru_cache
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -23,16 +20,12 @@ from sonar_gl.core.checks import (
     plain_number,
     shown,
 )
-from sonar_gl.core.errors import Error, errors_at, nearest_names, similar_names
-from sonar_gl.core.input_files import check_no_link_loop
-from sonar_gl.core.key_values import parse_fields
+from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.poses import pose as make_pose
-from sonar_gl.core.toml import read_toml
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 
-PRESETS = Path(__file__).with_name("sonars.toml")
 RANGE_MAX_BOUNDS_M = 1e-3, 1e5
 MAX_BINS = 65536  # also of beams
 # Least length of a bin over range_max_m. The sums find the bin of a range from 1/range: if its rounding were not far
@@ -353,6 +346,7 @@ class Sonar:
     def azimuth_rad(self) -> np.ndarray:
         """Beam centres, (B,) float64, radians, rising, positive to port.
 
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> np.degrees(load_sonar("p900-45").azimuth_rad[[0, -1]]).round(3).tolist()
         [-22.412, 22.412]
         """
@@ -370,6 +364,7 @@ class Sonar:
         With a table of azimuths, which may fill a part of the field of view, the edges lie half a spacing outside the
         outer beams; of a single beam, half its width.
 
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> [round(math.degrees(edge), 3) for edge in load_sonar("p900-45").fan_edges_rad]
         [-22.5, 22.5]
         """
@@ -397,6 +392,7 @@ class Sonar:
     def range_m(self) -> np.ndarray:
         """Bin centres, (K,) float64, metres.
 
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> load_sonar("p900-45").range_m[:2].round(4).tolist()  # bins of 25.4 mm, from 0.5 m on
         [0.5127, 0.5381]
         """
@@ -446,6 +442,7 @@ class Sonar:
         ----------
         sound_speed_m_s : c, metres per second
 
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> sonar = load_sonar("p900-45")
         >>> round(sonar.with_range(75.0).max_ping_rate_hz(1500.0), 6), sonar.with_range(30.0).max_ping_rate_hz(1500.0)
         (10.0, 15.0)
@@ -456,6 +453,7 @@ class Sonar:
     def beyond_limit_text(self) -> str | None:
         """Return a sentence if the sonar is set to a longer range than the device allows, else None.
 
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> load_sonar("aris-1800").with_range(30.0).beyond_limit_text()
         "sonar 'aris-1800' allows ranges of 15 m at most, its range_limit_m (got 30 m)"
         """
@@ -482,6 +480,7 @@ class Sonar:
         Error
             if a number is out of bounds, or there would be too many bins.
 
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
         >>> sonar = load_sonar("oculus-m1200d-lf")  # bins of 2.5 mm, 5000 at most
         >>> [(s.n_bins, round(s.bin_size_m, 6)) for s in (sonar.with_range(5.1), sonar.with_range(40.1))]
         [(2000, 0.0025), (5000, 0.008)]
@@ -523,124 +522,3 @@ def too_short_step_s(times_s, max_rate_hz: float) -> float | None:
     steps_s = np.diff(np.asarray(times_s, np.float64))
     shortest_s = float(steps_s[steps_s != 0].min(initial=math.inf))
     return shortest_s if shortest_s < (1 - 1e-6) / max_rate_hz else None  # times may be rounded
-
-
-def load_sonar(what: str | Path) -> Sonar:
-    """Return a preset, or the sonar of a file.
-
-    Parameters
-    ----------
-    what : name of a preset, in upper or lower case, or path of a .toml file that contains one sonar, as top-level keys
-        or as a table; "path.toml#table" selects one of several tables. Text may go on with changes of fields,
-        ",key=value,..."
-
-    Raises
-    ------
-    Error
-        if there is no such preset, file or table, the file does not describe a sonar, or a change is not one.
-
-    >>> load_sonar("P900-45").n_beams
-    256
-    >>> load_sonar("p900-45,receive_taper=hamming,bandwidth_hz=30e3").bandwidth_hz
-    30000.0
-    """
-    if not isinstance(what, (str, Path)):
-        raise Error(f"a sonar must be a preset's name or the path of a .toml file (got {shown(what)})")
-    if isinstance(what, str) and (changes := re.search(r",\s*\w+\s*=", what)) and not Path(what).exists():
-        return _changed(what[: changes.start()], what[changes.start() + 1 :])
-    known, text = presets(), str(what)
-    if isinstance(what, str) and text.casefold() in known:
-        return known[text.casefold()]
-    stem, mark, table = text.rpartition(".toml#")
-    path = Path(stem + ".toml") if mark and not Path(text).exists() else Path(text)
-    check_no_link_loop(path)
-    if not path.is_file() and (path.suffix != ".toml" or not path.exists()):
-        raise _no_sonar_error(what, path, known)
-    tables = _read_tables(path)
-    if path != Path(text):  # the text names a table
-        check_choice("table", table, tables, str(path))
-    elif len(tables) > 1:
-        raise Error(
-            f"{path}: must contain one sonar, or one of its tables must be named "
-            f"(got {', '.join(tables)}; write {path}#{next(iter(tables))})"
-        )
-    else:
-        (table,) = tables
-    return _sonar_from_table(f"{path} [{table}]", table, tables[table])
-
-
-def _changed(what: str, text: str) -> Sonar:
-    """Return the sonar of a name or file, with changes of fields, "key=value,..."."""
-    for key in (item.partition("=")[0].strip() for item in text.split(",")):
-        if key in UNPARSED:
-            option = "; on a command line --counts changes it" if key == "counts" else ""
-            raise Error(
-                f"sonar {text!r}: {key} cannot be changed by text (write it in the sonar's file, or give it to "
-                f"dataclasses.replace{option})"
-            )
-    _, values = parse_fields("sonar", text, Sonar, without=UNPARSED)
-    return replace(load_sonar(what), **values)
-
-
-def _no_sonar_error(what: str | Path, path: Path, known: Collection[str]) -> Error:
-    """Return the error for what names neither a preset nor a file at `path`, which is where its file would be."""
-    text = str(what)
-    if isinstance(what, str) and path.name == text and path.suffix != ".toml":
-        hint = nearest_names(text.casefold(), known)
-        if Path(f"{text}.toml").is_file():
-            hint = f"write {text}.toml for the file"
-        elif path.suffix:
-            hint += "; a sonar's file must end in .toml"
-        return Error(f"unknown sonar (got {text!r}; {hint})")
-    if path.is_dir():
-        return Error(f"{path}: the sonar's file must be a file (got a folder; such as {path / 'mine.toml'})")
-    hint = "; a Path is that of a file: name a preset by text" if text.casefold() in known else ""
-    return Error(f"{path}: the sonar's file must exist (got none there; paths start at {Path.cwd()}{hint})")
-
-
-def presets() -> dict[str, Sonar]:
-    """Return name -> Sonar of the presets that come with the package."""
-    return dict(_presets())
-
-
-@lru_cache(maxsize=1)
-def _presets() -> dict[str, Sonar]:
-    return {
-        name: _sonar_from_table(f"{PRESETS} [{name}]", name, t) for name, t in _read_tables(PRESETS).items()
-    }
-
-
-def _read_tables(path: Path) -> dict[str, dict]:
-    """Return the tables of a file by name; top-level keys are one table, named after the file."""
-    other_kind = path.suffix.lower() != ".toml"
-    hint = "a sonar is a preset's name, such as p900-45, or a .toml file" if other_kind else ""
-    data = read_toml(path, "the sonar's file", hint)
-    tables = {key: value for key, value in data.items() if isinstance(value, dict) and key != "counts"}
-    if not data:
-        raise Error(f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})")
-    if not tables:
-        return {path.stem: data}
-    if len(tables) < len(data):
-        key, table = next(key for key in data if key not in tables), next(iter(tables))
-        hint = similar_names(table, ["counts"])
-        raise Error(
-            f"{path}: must contain either a sonar's keys or tables, not both "
-            f"(got key {key!r} and table {table!r}{hint and '; '}{hint})"
-        )
-    return tables
-
-
-def _sonar_from_table(location: str, name: str, table: dict) -> Sonar:
-    """Return the sonar that a table of a file describes; messages begin with the location."""
-    required = {field.name: field.default is MISSING for field in fields(Sonar)}
-    with errors_at(location):
-        for key in table:
-            check_choice("key", key, required)
-        for key in ("name", "source"):
-            if not isinstance(table.get(key, ""), str):
-                raise Error(f"{key} must be text (got {table[key]!r}; put it in quotes)")
-        table = {"name": name} | table
-        missing = [key for key, is_required in required.items() if is_required and key not in table]
-        if missing:
-            raise Error(f"every required key must be present (missing: {', '.join(missing)})")
-        return Sonar(**table)

@@ -13,7 +13,7 @@ from sonar_gl.acoustics import acoustics, beam_pattern, boundary, pulse, water
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import Water
 from sonar_gl.core.errors import Error
-from sonar_gl.sonar.sonar import load_sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 from tests.support.errors import error_of
 
 

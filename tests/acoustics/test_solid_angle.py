@@ -10,7 +10,8 @@ from sonar_gl.acoustics.solid_angle import beam_solid_angles
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.sonar.sampling import Sampling
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 from tests.support.settings import described
 
 UNIFORM_EDGE, HAMMING_EDGE = 0.4429464707, 0.6514909  # x of half power of sinc² x and of a Hamming array

@@ -14,7 +14,7 @@ from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.sonar.fan import Fan
-from sonar_gl.sonar.sonar import presets
+from sonar_gl.sonar.sonar_files import presets
 from tests.support.processes import python
 
 P900 = sg.load_sonar("p900-45")

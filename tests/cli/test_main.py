@@ -509,6 +509,43 @@ def test_sonars_lists_every_preset():
     assert max(map(len, out.splitlines())) <= 80
 
 
+def test_sonars_writes_a_sonar_as_a_file(tmp_path):
+    status, out, _ = run("sonars", "P900-45,receive_taper=hamming")
+    assert status == 0
+    (tmp_path / "mine.toml").write_text(out)
+    assert sg.load_sonar(tmp_path / "mine.toml") == sg.load_sonar("p900-45,receive_taper=hamming")
+
+
+def test_sonars_writes_the_sonar_of_a_scene_as_a_file(tmp_path):
+    across = "<samples>64</samples><min_angle>-0.5</min_angle><max_angle>0.5</max_angle>"
+    ray = f"<scan><horizontal>{across}</horizontal></scan><range><min>1</min><max>20</max></range>"
+    sensor = f'<link name="l"><sensor name="sonar" type="ray"><ray>{ray}</ray></sensor></link>'
+    (tmp_path / "rov.sdf").write_text(SCENE.format(more=f'<model name="rov">{sensor}</model>'))
+    status, out, _ = run("sonars", "--scene", tmp_path / "rov.sdf")
+    assert status == 0 and out.startswith(
+        "# sensor 'sonar' of model 'rov': 57.3 x 20 deg, 64 beams, 1 to 20 m"
+    )
+    (tmp_path / "mine.toml").write_text(out)
+    assert sg.load_sonar(tmp_path / "mine.toml") == sg.load_scene(tmp_path / "rov.sdf").sonar
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scene", "pylon"], "scene 'pylon' must have a sensor whose tags describe a sonar (got none; "),
+        (["p900-45", "--scene", "pylon"], "SONAR and --scene exclude each other (leave one out)"),
+        (
+            ["--skip-missing"],
+            "--resource-path and --skip-missing need --scene (they say how a scene is read)",
+        ),
+        (["p900"], "unknown sonar (got 'p900'; "),
+    ],
+)
+def test_sonars_refuses_what_it_cannot_write(arguments, message):
+    status, out, err = run("sonars", *arguments)
+    assert status == 2 and not out and message in err
+
+
 def test_materials_lists_every_material_with_its_reflection_echo_and_source():
     status, out, _ = run("materials")
     assert status == 0

@@ -21,7 +21,7 @@ from sonar_gl.live.command_line import SceneSource, rounded_pose_numbers
 from sonar_gl.live.recording import FPS, LONGEST_S, Recording, fitted
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
-from sonar_gl.sonar.sonar import load_sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 from tests.support.waiting import WAIT_S, wait_until
 
 COARSE = LiveSettings("p900-45,n_beams=64", range_m=15.0, tolerance=0.2, height=120)

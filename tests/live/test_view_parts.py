@@ -27,7 +27,8 @@ from sonar_gl.live.view.ping_panel import HELP_HTML, PANEL
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_marks import MarkedPicture, marks_html
 from sonar_gl.live.view.range_scale import allowed_range_m, range_scale, shown_range_m
-from sonar_gl.sonar.sonar import Sonar, presets
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import presets
 from tests.support.fan_ping import fan_ping
 
 SONAR = Sonar("made", 900e3, 64, 100, 60.0, 20.0, 1.0, 1.0, 10.0)

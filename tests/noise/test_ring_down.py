@@ -11,7 +11,7 @@ from sonar_gl.analysis.terms import price
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.ring_down import ring_down_power
-from sonar_gl.sonar.sonar import presets
+from sonar_gl.sonar.sonar_files import presets
 from tests.support.even_ping import even_ping
 
 RINGING = {"ring_down_db": 10.0, "ring_down_decay_db_m": 20.0, "self_noise_db": -300.0}

@@ -10,7 +10,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.ping import Ping
 from sonar_gl.sonar import counts as module
 from sonar_gl.sonar.counts import Counts
-from sonar_gl.sonar.sonar import load_sonar, presets
+from sonar_gl.sonar.sonar_files import load_sonar, presets
 
 LAWS = [
     Counts(),

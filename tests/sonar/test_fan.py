@@ -12,7 +12,7 @@ from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.sonar.fan import BeamShape, ColumnWidths, ends_of_fan_rad, fitted_sampling, make_fan
 from sonar_gl.sonar.sampling import FINEST_LEVEL, MAX_COLUMNS_PER_BEAM, fewest_rows, sampling_at
 from sonar_gl.sonar.sector import SHEAR
-from sonar_gl.sonar.sonar import presets
+from sonar_gl.sonar.sonar_files import presets
 from tests.support.fans import box_fan, make_sonar
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from sonar_gl.core.poses import pose as make_pose
-from sonar_gl.sonar.sonar import PRESETS, Sonar, load_sonar, presets
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import PRESETS, load_sonar, presets
 from tests.support.errors import error_of
 
 KEYS = {

@@ -20,7 +20,7 @@ from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.scene.load import load_scene
-from sonar_gl.sonar.sonar import load_sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 from tests.support.browser import COUNT_PICTURES, open_browser
 from tools.pictures import write_small_png
 

@@ -30,7 +30,8 @@ from sonar_gl.live.emulators.oculus_messages import (
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import LEAST_EXPONENT
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 
 logger = logging.getLogger(__name__)
 

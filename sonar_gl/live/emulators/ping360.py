@@ -35,7 +35,8 @@ from sonar_gl.live.emulators.ping360_messages import (
     parse_transducer,
 )
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 
 logger = logging.getLogger(__name__)
 

@@ -20,7 +20,8 @@ from sonar_gl.live.view.number_scale import NumberScale
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_scale import allowed_range_m, range_scale, shown_range_m
 from sonar_gl.noise.settings import PRESETS
-from sonar_gl.sonar.sonar import Sonar, presets
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import presets
 
 KEYS, CAMERA, TRAJECTORY = "keys and gizmo", "browser's camera", "trajectory"
 NO_BODY = "none"

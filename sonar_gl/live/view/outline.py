@@ -29,7 +29,7 @@ def fan_outline(sonar: Sonar) -> np.ndarray:
     -------
     (N, 2, 3) float32, ends of line segments, metres
 
-    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> float(np.linalg.norm(fan_outline(load_sonar("p900-45").with_range(20.0)), axis=2).max().round(3))
     20.0
     """

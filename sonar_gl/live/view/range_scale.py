@@ -40,7 +40,7 @@ def shown_range_m(settings: LiveSettings) -> float:
 def allowed_range_m(sonar: Sonar, range_m: float) -> float:
     """Return a range if a sonar allows it, else its limit, or its own range for one that is too near, metres.
 
-    >>> from sonar_gl.sonar.sonar import load_sonar
+    >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> allowed_range_m(load_sonar("aris-3000"), 30.0), allowed_range_m(load_sonar("p900-45"), 30.0)
     (5.0, 30.0)
     """

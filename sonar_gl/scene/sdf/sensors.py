@@ -15,7 +15,8 @@ from typing import NamedTuple
 from sonar_gl.core.errors import Error
 from sonar_gl.scene.sdf.links import Link
 from sonar_gl.scene.sonar_sensor import DEFAULT_SONAR, SONAR_WORDS, SonarSensor
-from sonar_gl.sonar.sonar import Sonar, load_sonar
+from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar_files import load_sonar
 
 OTHER_SONARS = ("dvl", "altimeter")  # which make no images
 # Types of sensor that Gazebo's users simulate sonars with. In a model that is named after a sonar only these
