@@ -132,6 +132,12 @@ class Ping:
         by = f", by {self.meta['gl_renderer']}" if "gl_renderer" in self.meta else ""
         return f"<Ping of {size}{name}{by}>"
 
+    def _repr_png_(self) -> bytes | None:
+        """Return the picture that a notebook shows of the ping: a fan image with axes. None if it has none."""
+        from sonar_gl.imaging.styles import notebook_png  # of a layer above, which only notebooks need
+
+        return notebook_png(self)
+
     @property
     def bin_size_m(self) -> float:
         """Length of a bin, metres: that of the sonar, else of `meta`, else the spacing of `range_m`.

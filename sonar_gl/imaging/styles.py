@@ -7,15 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonar_gl.core.errors import Error
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.imaging.axes import draw_axes
+from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
 from sonar_gl.imaging.demarco2015 import demarco_image
 from sonar_gl.imaging.fan_image import colorize, colours, fan_image
+from sonar_gl.imaging.files import png_bytes
 from sonar_gl.imaging.formats import FILMS
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
 
+NOTEBOOK_HEIGHT = 500  # pixels, without axes: the picture and a cell fit on a screen
 DARK_BLUE = 128  # the first colour of Jet
 
 
@@ -56,6 +60,14 @@ class FanStyle:
             return law.counts_of(picture)
         picture = colorize(picture, self.colormap)
         return draw_axes(picture, ping, self.colormap) if self.axes else picture
+
+
+def notebook_png(ping: Ping) -> bytes | None:
+    """Return the content of a PNG file of a ping's fan image with axes; None if the ping has no such picture."""
+    try:
+        return png_bytes(FanStyle(NOTEBOOK_HEIGHT, DEFAULT_COLORMAP, axes=True)(None, ping))
+    except Error:
+        return None
 
 
 def what_lacks_16_bits(style: FanStyle, formats: Iterable[str]) -> str | None:

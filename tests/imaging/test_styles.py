@@ -4,6 +4,7 @@ import warnings
 from dataclasses import fields, replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -22,6 +23,15 @@ def test_fan_style(axes):
     expected = sg.colorize(sg.fan_image(ping, 90, law), "hot")
     expected = sg.draw_axes(expected, ping, "hot", law) if axes else expected
     assert (FanStyle(90, "hot", axes)(None, ping, 5) == expected).all()
+
+
+def test_a_notebook_shows_the_picture_of_a_ping():
+    ping = fan_ping(60)
+    ping.intensity[:] = np.random.default_rng(0).random(ping.intensity.shape)
+    picture = sg.draw_axes(sg.colorize(sg.fan_image(ping, 500), "copper"), ping, "copper")
+    shown = cv2.imdecode(np.frombuffer(ping._repr_png_(), np.uint8), cv2.IMREAD_COLOR)
+    np.testing.assert_array_equal(shown[..., ::-1], picture)
+    assert sg.Ping(None, None, None)._repr_png_() is None  # a notebook shows its text
 
 
 def test_unknown_colour_map():
