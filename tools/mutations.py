@@ -1395,6 +1395,12 @@ MUTATIONS = (
         SENSORS,
     ),
     Mutation(
+        "sdf/custom sensor named after a DVL",
+        "                continue\n            if any(",
+        "                by_sensor = by_model = False\n            if any(",
+        SENSORS,
+    ),
+    Mutation(
         "sdf/side of a scan", "middle_deg + offset for offset", "offset - middle_deg for offset", SENSORS
     ),
     Mutation("sdf/name in a merged model", "if scope.holds(head):", "if head in scope.links:", SDF),

@@ -268,6 +268,13 @@ def test_a_dvl_is_no_sonar_whatever_its_name(read, prefix):
     assert scene.sonar_pose is None
 
 
+@pytest.mark.parametrize("name", ["dvl", "teledyne_dvl_sensor", "altimeter"])
+def test_a_custom_sensor_that_is_named_after_a_dvl_is_no_sonar(read, name):
+    """Some files do not say by `gz:type` what a custom sensor is."""
+    scene, _ = read(sensor("", name, "custom"), sensor("", "front_sonar", "gpu_lidar"))
+    assert [one.name for one in scene.sensors] == ["front_sonar"]
+
+
 def test_scenes_made_from_a_scene_keep_its_sensors(read):
     scene, _ = read(sensor(scan(angles(-45, 45, 180))))
     for other in (scene.without("rock"), scene.only("rock"), scene.with_surface(2.0), scene.with_more([])):

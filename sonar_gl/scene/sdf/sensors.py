@@ -77,8 +77,8 @@ def find_sonars(links) -> list[SensorOfLink]:
             )
             # by its kind, too: Sonardyne makes DVLs
             if any(word in f"{names[0]} {custom_kind}".lower() for word in OTHER_SONARS):
-                by_sensor = by_model = False
-            elif any(word in owner.lower() for word in OTHER_SONARS):
+                continue
+            if any(word in owner.lower() for word in OTHER_SONARS):
                 by_model = False
             if kind == "custom" and (by_sensor or not custom_kind):
                 rank = 0
