@@ -15,7 +15,7 @@ from sonar_gl.core.poses import pose
 from sonar_gl.embed.camera import SONAR_FROM_OPTICAL
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.live.frame import LiveFrame
-from sonar_gl.live.motion import KEYS
+from sonar_gl.live.key_motion import KEYS
 from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined, picture_of, pixel_cells
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.actions import Actions

@@ -12,7 +12,7 @@ from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.core.worker import Job
 from sonar_gl.imaging.colormaps import OFFERED
-from sonar_gl.live.motion import SPEED_M_S
+from sonar_gl.live.key_motion import SPEED_M_S
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
