@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -20,7 +20,7 @@ from sonar_gl.batch.schema import Schema
 from sonar_gl.batch.store import MADE, SET_ASIDE, PingTable, check_groups, rows_to_bytes
 from sonar_gl.batch.system import System
 from sonar_gl.core.errors import Error, is_out_of_memory
-from sonar_gl.core.warn import CollectedWarning, collected_warnings
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.no_echo import NoEchoWarning
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
@@ -100,9 +100,31 @@ def open_simulators(batch: Batch, scene: int, stack: ExitStack) -> dict[str, Sim
     return simulators
 
 
-def placed_text(warning: CollectedWarning, batch: Batch, scene: int, sonar: str) -> str:
-    """Return the text of a warning with the sonar and the scene of which it is."""
-    return f"warning: {sonar} in {batch.requests.job.scenes[scene]}: {warning.text}"
+@contextmanager
+def reported_warnings(
+    batch: Batch, scene: int, sonar: str, report: Report, unmet: set[tuple[int, str]]
+) -> Iterator[None]:
+    """Report the warnings of a block, also if it fails: the next try does not warn of what a simulator says once.
+
+    No warning names its ping, since in a sequence it may be one that is made ahead. That a ping has no echo is not
+    reported: the table says it.
+
+    unmet : scene and sonar of which it was said that a tolerance is not met, since it is said once; grows
+    """
+    with collected_warnings() as found:
+        try:
+            yield
+        finally:
+            for warning in found:
+                text = f"warning: {sonar} in {batch.requests.job.scenes[scene]}: {warning.text}"
+                if issubclass(warning.category, NoEchoWarning):
+                    continue
+                if issubclass(warning.category, ToleranceWarning):
+                    if (scene, sonar) in unmet:
+                        continue
+                    unmet.add((scene, sonar))
+                    text += "; this is said once, error_estimate of the arrays tells of each ping"
+                report("warning", text)
 
 
 @dataclass(frozen=True)
@@ -112,14 +134,12 @@ class _Part:
     Attributes
     ----------
     numbers : numbers of its pings
-    requests : their requests
     rows : (pings, width) rows of the ping table
     failed : number of each ping that is set aside -> why; grows
     one_by_one : whether each ping is reported before it is made
     """
 
     numbers: range
-    requests: list[BatchRequest]
     rows: np.ndarray
     failed: dict[int, str]
     one_by_one: bool
@@ -182,7 +202,7 @@ class PartMaker:
         """
         numbers = self._batch.manifest.numbers(part)
         requests = [self._batch.requests[number] for number in numbers]
-        return self._make(part, self._task(requests, dict(set_aside or {}), one_by_one, report))
+        return self._make(part, requests, dict(set_aside or {}), one_by_one, report)
 
     def make_sample(self, numbers: list[int], report: Report = no_report) -> PartRecord:
         """Make these pings, no more than a part has, as if they were the first part, whose files they replace.
@@ -190,28 +210,29 @@ class PartMaker:
         They are numbered anew, so that the files are no data set, but as large as those of one.
         """
         requests = [replace(self._batch.requests[number], number=k) for k, number in enumerate(numbers)]
-        return self._make(0, self._task(requests, {}, False, report))
+        return self._make(0, requests, {}, False, report)
 
-    def _task(
-        self, requests: list[BatchRequest], failed: dict[int, str], one_by_one: bool, report: Report
-    ) -> _Part:
-        """Return the part that has these requests, whose numbers follow one another."""
-        numbers = range(requests[0].number, requests[-1].number + 1)
-        rows = np.array([self._batch.table.row(request) for request in requests])
-        return _Part(numbers, requests, rows, failed, one_by_one, report)
-
-    def _make(self, part: int, task: _Part) -> PartRecord:
-        """Make a part and write its files, the record last."""
-        batch, numbers, any_left_out = self._batch, task.numbers, bool(task.failed)
+    def _make(
+        self,
+        part: int,
+        requests: list[BatchRequest],
+        failed: dict[int, str],
+        one_by_one: bool,
+        report: Report,
+    ) -> PartRecord:
+        """Make the part that has these requests, whose numbers follow one another."""
+        batch, numbers = self._batch, range(requests[0].number, requests[-1].number + 1)
+        rows, any_left_out = np.array([batch.table.row(request) for request in requests]), bool(failed)
+        task = _Part(numbers, rows, failed, one_by_one, report)
         for output in self.outputs:
             output.begin(part, numbers)
-        for scene, run in groupby(task.requests, lambda request: request.scene):
+        for scene, run in groupby(requests, lambda request: request.scene):
             run = list(run)
             for sonar in batch.requests.sonars:
                 for request, ping in self._pings(task, scene, sonar, run):
                     self._store(task, request, sonar, ping)
-        reasons = set(task.failed.values())
-        if len(task.failed) == len(numbers) > 1 and not any_left_out and len(reasons) == 1:
+        reasons = set(failed.values())
+        if len(failed) == len(numbers) > 1 and not any_left_out and len(reasons) == 1:
             raise Error(f"no ping of part {part} could be made ({reasons.pop()})")
         return self._finish(part, task)
 
@@ -273,7 +294,9 @@ class PartMaker:
             pings = make_pings(run, map(for_sonar, list(remaining)))
             try:
                 while remaining:
-                    yield remaining[0], self._report_warnings(lambda: next(pings), task, scene, sonar)
+                    with reported_warnings(self._batch, scene, sonar, task.report, self._unmet):
+                        ping = next(pings)
+                    yield remaining[0], ping
                     task.report("finished", remaining.popleft().number)
             except Exception as why:  # of one of several pings; made alone, the one shows
                 if isinstance(why, OSError) or is_out_of_memory(why):
@@ -293,7 +316,8 @@ class PartMaker:
         for _ in range(TRIES):
             task.report("started", request.number)
             try:
-                return self._report_warnings(lambda: make(request), task, request.scene, sonar)
+                with reported_warnings(self._batch, request.scene, sonar, task.report, self._unmet):
+                    return make(request)
             except Exception as why:
                 if isinstance(why, OSError) or is_out_of_memory(why):
                     raise
@@ -301,27 +325,3 @@ class PartMaker:
                 reason = f"{kind}{why}"
         task.failed[request.number] = reason
         return None
-
-    def _report_warnings(self, make: Callable[[], Ping], task: _Part, scene: int, sonar: str) -> Ping:
-        """Make a ping and report its warnings, but not that it has no echo, which the table says.
-
-        That a tolerance is not met is said once for each scene and sonar: the estimates tell of which pings.
-        No warning names its ping, since in a sequence it may be one that is made ahead.
-        """
-        with collected_warnings() as found:
-            try:
-                return make()
-            finally:  # also if it fails: the next try does not warn of what a simulator says once
-                for warning in found:
-                    self._report_warning(warning, task, scene, sonar)
-
-    def _report_warning(self, warning: CollectedWarning, task: _Part, scene: int, sonar: str) -> None:
-        if issubclass(warning.category, NoEchoWarning):
-            return
-        text = placed_text(warning, self._batch, scene, sonar)
-        if issubclass(warning.category, ToleranceWarning):
-            if (scene, sonar) in self._unmet:
-                return
-            self._unmet.add((scene, sonar))
-            text += "; this is said once, error_estimate of the arrays tells of each ping"
-        task.report("warning", text)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from bisect import bisect_right
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,11 +12,10 @@ import numpy as np
 
 from sonar_gl.batch.manifest import CHUNK_PINGS
 from sonar_gl.batch.outputs import LabelledBins
-from sonar_gl.batch.parts import Batch, Report, no_report, open_simulators, placed_text
+from sonar_gl.batch.parts import Batch, Report, no_report, open_simulators, reported_warnings
 from sonar_gl.batch.requests import BatchRequests
-from sonar_gl.core.warn import collected_warnings
 from sonar_gl.scene.extent import body_around
-from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning
+from sonar_gl.sonar.sampling import WORST_BODY
 
 SURVEYED = 24  # pings of a scene
 
@@ -137,7 +135,8 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
     with ExitStack() as stack:
         for name, simulator in open_simulators(batch, scene, stack).items():
             run, mount = simulator.run, requests.mounts[name]
-            with _warnings_to(report, batch, scene, name):
+            unmet = {(scene, name)}  # the estimates tell of it
+            with reported_warnings(batch, scene, name, report, unmet):
                 for request in spread:
                     setup = run.set_up(request.for_sonar(mount))
                     with run.drawing():
@@ -151,18 +150,6 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
                         HardView(request.number, name, n_samples, plan.bound, body, has_echo, around)
                     )
     return found
-
-
-@contextmanager
-def _warnings_to(report: Report, batch: Batch, scene: int, sonar: str) -> Iterator[None]:
-    """Report the warnings of a block, also if it fails, but not of tolerances: the estimates tell of these."""
-    with collected_warnings() as found:
-        try:
-            yield
-        finally:
-            for warning in found:
-                if not issubclass(warning.category, ToleranceWarning):
-                    report("warning", placed_text(warning, batch, scene, sonar))
 
 
 def _spread_numbers(requests: BatchRequests, scene: int, count: int) -> list[int]:
