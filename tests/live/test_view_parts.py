@@ -26,7 +26,7 @@ from sonar_gl.live.view.outline import PictureSector, fan_arcs, fan_outline
 from sonar_gl.live.view.ping_panel import HELP_HTML, PANEL
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_marks import MarkedPicture, marks_html
-from sonar_gl.live.view.range_scale import allowed_range_m, range_scale, shown_range_m
+from sonar_gl.live.view.scales import allowed_range_m, range_scale, shown_range_m
 from sonar_gl.sonar.sonar import Sonar, presets
 from tests.support.fan_ping import fan_ping
 
