@@ -36,6 +36,7 @@ from tools import internals
 from tools.bench import harness
 
 TOLERANCES = (0.05, 0.02, 0.01)
+POOL_TOLERANCES = (0.05, 0.01)
 ROUNDS = 4
 TRUTH_ERROR = 0.03
 MOST_SAMPLES = 3_500_000  # of the truth of a pool
@@ -200,11 +201,11 @@ class PoolOutcome:
     error_estimate: float
 
 
-def try_pool(seed: int, tolerances=(0.05, 0.01)) -> list[PoolOutcome]:
+def try_pool(seed: int) -> list[PoolOutcome]:
     """Return the outcomes of the first ping in one pool; none if there is no multipath."""
     scene, sonar, pose, acoustics = random_pool(seed)
     pings = []
-    for tolerance in tolerances:
+    for tolerance in POOL_TOLERANCES:
         with sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as simulator:
             pings.append(simulator.ping(pose))
     finest = max((sg.Sampling(**ping.meta["sampling"]) for ping in pings), key=lambda one: one.count(sonar))
@@ -217,7 +218,7 @@ def try_pool(seed: int, tolerances=(0.05, 0.01)) -> list[PoolOutcome]:
     multipath = float(truth.intensity.sum(dtype=float)) / max(direct, 1e-30) - 1
     return [
         PoolOutcome(seed, tolerance, multipath, ping_error(ping, truth), ping.error_estimate)
-        for tolerance, ping in zip(tolerances, pings if multipath > 1e-3 else (), strict=False)
+        for tolerance, ping in zip(POOL_TOLERANCES, pings if multipath > 1e-3 else (), strict=False)
     ]
 
 

@@ -19,7 +19,8 @@ from sonar_gl._version import __version__
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import PartRecord
-from sonar_gl.batch.parts import STEPS, Batch, make_part
+from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.steps import STEPS, make_part
 from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.extras import missing_extra
 
@@ -51,7 +52,7 @@ class Cluster:
         self._address, self.arguments = address, (json.dumps(job.plain), url, any_system)
 
     def call(self, name: str, *arguments):
-        """Run one of `parts.STEPS` on a worker, and return its result."""
+        """Run one of `steps.STEPS` on a worker, and return its result."""
         results, make = [], partial(_run_step, *self.arguments, name, arguments)
 
         def give_up(_number, why):

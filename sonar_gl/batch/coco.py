@@ -17,7 +17,7 @@ from sonar_gl.core.extras import missing_module
 try:
     from pycocotools import mask
 except ModuleNotFoundError as why:
-    raise missing_module("batch", "batch", why) from None
+    raise missing_module("batch", why) from None
 
 IDS_PER_IMAGE = 1 << 16  # the id of an annotation is image_id · IDS_PER_IMAGE + body_id
 PREFIXES = {"images": b'["image", ', "annotations": b'["annotation", '}  # of lines in the files of parts

@@ -27,7 +27,7 @@ try:
     from fsspec.core import url_to_fs
     from fsspec.implementations.local import LocalFileSystem
 except ModuleNotFoundError as why:
-    raise missing_module("batch", "batch", why) from None
+    raise missing_module("batch", why) from None
 
 try:
     import fcntl

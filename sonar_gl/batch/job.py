@@ -37,7 +37,7 @@ try:
         model_validator,
     )
 except ModuleNotFoundError as why:
-    raise missing_module("batch", "batch", why) from None
+    raise missing_module("batch", why) from None
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
 # errors of pydantic about the length of a list

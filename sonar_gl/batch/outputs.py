@@ -150,7 +150,7 @@ class PicturesOutput(CountsOutput):
     def add(self, request, sonar, ping, quiet):
         ping = self.with_counts(sonar, ping)
         if "png" in self.table.formats:
-            picture = self._draw(None, ping, request.number)
+            picture = self._draw(ping)
             self.put(ping_file(f"png/{sonar}", request.number, "png"), png_bytes(picture))
         if "npz" in self.table.formats:
             self.put(ping_file(f"npz/{sonar}", request.number, "npz"), npz_bytes(ping))
@@ -166,7 +166,7 @@ class PicturesOutput(CountsOutput):
             sonar = self.requests.sonars[name]
             silence = np.zeros((sonar.n_beams, sonar.n_bins), np.float32)
             ping = Ping(silence, sonar.azimuth_rad, sonar.range_m, sonar=sonar)
-            picture = self._draw(None, self.with_counts(name, ping))
+            picture = self._draw(self.with_counts(name, ping))
             with (
                 TemporaryDirectory() as folder,
                 errors_at(f"{self.job.where}: pictures: the film of {name!r}"),
@@ -191,7 +191,7 @@ class PicturesOutput(CountsOutput):
             chunk = slice(first, first + CHUNK_PINGS)
             for intensity in arrays["intensity"][chunk][arrays["status"][chunk] == MADE]:
                 ping = Ping(intensity, sonar.azimuth_rad, sonar.range_m, sonar=sonar)
-                yield self._draw(None, self.with_counts(name, ping), first)
+                yield self._draw(self.with_counts(name, ping))
 
 
 def own_shares(bins: np.ndarray, ping: Ping, quiet: Ping, power: np.ndarray | None) -> np.ndarray:

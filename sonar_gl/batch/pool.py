@@ -18,7 +18,8 @@ from multiprocessing.connection import Connection, wait
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import PartRecord
-from sonar_gl.batch.parts import STEPS, Batch
+from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.steps import STEPS
 from sonar_gl.core.cores import count_cores
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
@@ -51,7 +52,7 @@ def serve(
 ) -> None:
     """Run the steps that come through a pipe until None comes or the pipe closes.
 
-    In: the name of one of `parts.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
+    In: the name of one of `steps.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
     and at its end ("of files", text) for each warning of what it has read, and ("result", value), or ("error",
     text) for an Error, a failed write and everything else.
 
@@ -277,7 +278,7 @@ class Pool:
             process.end()
 
     def call(self, name: str, *arguments):
-        """Run one of `parts.STEPS` in a process, and return its result. If it dies, another takes its place.
+        """Run one of `steps.STEPS` in a process, and return its result. If it dies, another takes its place.
 
         Raises
         ------

@@ -30,7 +30,7 @@ try:
     from zarr.codecs import BloscCodec
     from zarr.storage import MemoryStore
 except ModuleNotFoundError as why:
-    raise missing_module("batch", "batch", why) from None
+    raise missing_module("batch", why) from None
 
 STORE_NAME = "pings.zarr"
 # LZ4 takes half the time of Zstandard, for files a tenth larger. Shuffled by bits, the mantissa bits that are

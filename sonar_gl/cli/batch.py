@@ -11,6 +11,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from sonar_gl.batch import run as runs
+from sonar_gl.batch.dry_run import dry_run
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import check
@@ -42,7 +43,7 @@ def batch(options) -> int:
     job = read_job(options.job)
     devices = runs.devices_of(options.workers, options.device)
     if options.dry_run:
-        echo(runs.dry_run(job, devices, _report))
+        echo(dry_run(job, devices, _report))
         return 0
     url = options.out or Path(options.job).stem
     settings = runs.RunSettings(options.resume, options.mend, options.any_system, options.cluster)

@@ -1,20 +1,11 @@
-"""The commands of `sonar-gl`: their options, help and exit status.
+"""The commands of `sonar-gl`: their options and help.
 
 A command's work is done by another module of the package, which is loaded when the command runs.
 """
 
 from __future__ import annotations
 
-import _thread
-import errno
 import json
-import os
-import signal
-import sys
-import threading
-import warnings
-from collections.abc import Callable
-from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,159 +13,14 @@ import click
 
 from sonar_gl import cli
 from sonar_gl._version import __version__
+from sonar_gl.cli.command_group import CommandGroup
 from sonar_gl.cli.options import DEVICE, ENGINE, LIVE_OPTIONS, PathText, option, ping_options
 from sonar_gl.cli.output import echo
 from sonar_gl.core.atomic_file import check_output_file
-from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError
+from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
 from sonar_gl.imaging.formats import FORMATS
-
-IMPORT_PAUSE_S = 0.05  # until a signal that came during an import is tried again
-
-
-class CommandGroup(click.Group):
-    """Commands that report a user's error in one sentence with exit status 2, and each warning once, on one line."""
-
-    def invoke(self, ctx):
-        message, status = "", 0
-        for stream in (sys.stdout, sys.stderr):
-            if hasattr(stream, "reconfigure"):
-                stream.reconfigure(errors="replace")  # the terminal may not have Greek letters
-        try:
-            with _interrupts(), warnings.catch_warnings():
-                warnings.simplefilter("always", UserWarning)
-                warnings.showwarning = _one_line_warnings()
-                _check_threads()
-                super().invoke(ctx)
-        except KeyboardInterrupt as why:  # commands that write files say what is with these
-            message, status = "; ".join(["interrupted", *map(str, why.args)]), 130
-        except MemoryError as why:
-            message, status = f"memory ran out ({why}); ask for fewer beams, bins or pixels", 2
-        except ImportError as why:
-            message, status = f"{why}; 'sonar-gl doctor' says what is missing", 2
-        except OSError as why:
-            if why.errno == errno.EPIPE:  # `| head` has closed the pipe
-                raise
-            message, status = _describe_os_error(why), 2
-        except MachineError as why:
-            message, status = str(why), 4
-        except Error as why:
-            message, status = str(why), 2
-        if status:
-            with suppress(OSError):  # a log on a full disk; the status says at least that the command failed
-                echo(f"error: {message}", err=True)
-            ctx.exit(status)
-
-    def resolve_command(self, ctx, args):
-        """Return what click finds; raise Error for a --pose without quotes, of which click takes one number alone."""
-        for word, *numbers in zip(args, args[1:], args[2:], strict=False):
-            if word == "--pose" and all(map(_is_number, numbers)):
-                got = " ".join(numbers)
-                raise Error(
-                    f'--pose must be 6 numbers in quotes: --pose "x y z roll pitch yaw" (got {got} ...)'
-                )
-        return super().resolve_command(ctx, args)
-
-
-def _is_number(word: str) -> bool:
-    """Return whether a word is a number, which a comma may follow."""
-    try:
-        float(word.removesuffix(","))
-    except ValueError:
-        return False
-    return True
-
-
-def _check_threads() -> None:
-    """Raise Error for a number of threads with which Numba cannot be imported."""
-    try:
-        number = int(os.environ["NUMBA_NUM_THREADS"])
-    except (KeyError, ValueError):  # of no number Numba warns, and takes its own
-        return
-    if number < 1:
-        raise Error(f"NUMBA_NUM_THREADS must be 1 or more, or unset (got {number}; unset it)")
-
-
-@contextmanager
-def _interrupts():
-    """Have SIGTERM, which service managers and containers send, and SIGHUP end a command as Ctrl-C does; lose none.
-
-    While modules are imported a signal waits: trimesh imports others under `except BaseException`, and would take the
-    KeyboardInterrupt for the lack of a module.
-    """
-    if threading.current_thread() is not threading.main_thread():  # where Python allows no handlers
-        yield
-        return
-    n_around, waiting = _count_imports(sys._getframe()), []
-
-    def interrupt(number, frame):
-        if _count_imports(frame) <= n_around:
-            raise KeyboardInterrupt
-        again = threading.Timer(IMPORT_PAUSE_S, *_sending(number))
-        again.daemon = True
-        waiting.append(again)
-        again.start()
-
-    numbers = [signal.SIGTERM]
-    # not where the caller has set another handler, or it is ignored, as in the background
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        numbers.append(signal.SIGINT)
-    # of a terminal that is closed, else files that are half written stay; nohup has it ignored
-    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
-        numbers.append(signal.SIGHUP)
-    before = {number: signal.signal(number, interrupt) for number in numbers}
-    try:
-        yield
-    finally:
-        for again in waiting:
-            again.cancel()
-        for number, handler in before.items():
-            signal.signal(number, handler or signal.SIG_DFL)  # None: of a handler that Python cannot set
-
-
-def _sending(number: int) -> tuple[Callable, tuple]:
-    """Return a function that sends this thread, the main one, a signal, and its arguments."""
-    if hasattr(signal, "pthread_kill"):
-        return signal.pthread_kill, (threading.get_ident(), number)
-    return _thread.interrupt_main, (number,)  # on Windows
-
-
-def _count_imports(frame) -> int:
-    """Return how many frames of Python's import lie around a frame, itself included."""
-    count = 0
-    while frame is not None:
-        count += frame.f_code.co_filename.startswith("<frozen importlib")
-        frame = frame.f_back
-    return count
-
-
-def _describe_os_error(why: OSError) -> str:
-    """Return what is wrong with a file, or, where the error names none, with the output of the command."""
-    reason = why.strerror or str(why)
-    if why.filename is None and why.errno == errno.ENOSPC:
-        return f"the standard output must be writable (got {reason.lower()})"
-    if why.filename is None and reason.startswith("No usable temporary directory"):  # of `tempfile`
-        return (
-            "a folder for temporary files must be there (got none that can be written to; set TMPDIR to one)"
-        )
-    if why.filename is None and why.errno == errno.ENOENT:  # of `os.getcwd`
-        return "the working directory must exist (it has been removed; change to another folder)"
-    cure = f"; {RAISE_FILE_LIMIT}" if why.errno == errno.EMFILE else ""
-    return f"{why.filename or 'files'}: {reason}{cure}"
-
-
-def _one_line_warnings():
-    """Return a `warnings.showwarning` that shows each text once, on one line."""
-    shown = set()
-
-    def show(message, *_args, **_more):
-        text = " ".join(str(message).split())
-        if text not in shown:
-            echo(f"warning: {text}", err=True)
-        shown.add(text)
-
-    return show
 
 
 @click.group(

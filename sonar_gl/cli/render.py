@@ -182,7 +182,7 @@ class FrameWriter:
 
     Parameters
     ----------
-    style : function (simulator, ping, number) -> (H, W, 3) uint8 or (H, W) uint16 picture
+    style : FanStyle or DemarcoStyle
     formats : which of png, npz, gif and mp4
     noise, seed, labels, label_level_db : as for `Simulator.ping`
     fps : frames per second of gif and mp4
@@ -190,7 +190,7 @@ class FrameWriter:
     """
 
     simulator: Simulator
-    style: Callable
+    style: FanStyle | DemarcoStyle
     folder: Path
     formats: tuple[str, ...]
     noise: Noise
@@ -298,7 +298,7 @@ class FrameWriter:
                 self._times_ms.append(1e3 * (time.perf_counter() - start))
                 self._note(ping, number)
                 needs_picture = set(self.formats) != {"npz"}
-                picture = self.style(self.simulator, ping, number) if needs_picture else None
+                picture = self._picture(ping, number) if needs_picture else None
                 if needs_picture:
                     bright = self._is_bright(ping, picture)
                     share = np.count_nonzero(bright) / bright.size
@@ -309,6 +309,12 @@ class FrameWriter:
                     save, content = contents[still]
                     calls.start(save, self.folder / f"{names[number]}.{still}", content)
                 yield picture
+
+    def _picture(self, ping: Ping, number: int) -> np.ndarray:
+        """Return the picture of a ping, (H, W, 3) uint8 or (H, W) uint16; the paper's is drawn from its pose."""
+        if isinstance(self.style, DemarcoStyle):
+            return self.style(self.simulator, ping, number)
+        return self.style(ping)
 
     def _note(self, ping: Ping, number: int):
         """Remember the strongest echo of all pings."""

@@ -21,10 +21,10 @@ from sonar_gl.cli.common import (
 from sonar_gl.cli.output import echo
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.live.command_line import SceneSource
-from sonar_gl.live.page import load_viser
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.view.page import load_viser
 from sonar_gl.live.viewer import LiveView, warn_of_host
 from sonar_gl.noise.settings import Noise
 from sonar_gl.raster.engine import check_engine

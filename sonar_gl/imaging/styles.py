@@ -1,4 +1,4 @@
-"""Styles of pictures: each turns the pings of a sequence into its frames."""
+"""Styles of pictures: each turns a ping into a picture."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class FanStyle:
         """Return whether pictures by a law of counts have its 16 bits."""
         return law.bits == 16 and self.setting_of_8_bits is None
 
-    def __call__(self, _simulator, ping: Ping, _number: int = 0) -> np.ndarray:
+    def __call__(self, ping: Ping) -> np.ndarray:
         """Return the picture of a ping: (H, W, 3) uint8 RGB; or its counts, (H, W) uint16, where it `holds_16_bits`."""
         law = ping.counts_law()
         picture = fan_image(ping, self.height, law)
@@ -65,7 +65,7 @@ class FanStyle:
 def notebook_png(ping: Ping) -> bytes | None:
     """Return the content of a PNG file of a ping's fan image with axes; None if the ping has no such picture."""
     try:
-        return png_bytes(FanStyle(NOTEBOOK_HEIGHT, DEFAULT_COLORMAP, axes=True)(None, ping))
+        return png_bytes(FanStyle(NOTEBOOK_HEIGHT, DEFAULT_COLORMAP, axes=True)(ping))
     except Error:
         return None
 

@@ -23,8 +23,8 @@ from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import BodyPoses
 from sonar_gl.live.command_line import SceneSource
 from sonar_gl.live.frame import LiveFrame, LiveState, Reading, Surface
+from sonar_gl.live.key_motion import SPEED_M_S, TURN_RATE_RAD_S, moved
 from sonar_gl.live.live_sonar import FrameRequest, LiveSonar
-from sonar_gl.live.motion import SPEED_M_S, TURN_RATE_RAD_S, moved
 from sonar_gl.live.output import DEFAULT_FOLDER, LiveOutput
 from sonar_gl.live.pictures import pixel_cells, pixels_of
 from sonar_gl.live.ping_thread import PingThread
@@ -220,7 +220,7 @@ class LiveSession:
         speed_m_s: float = SPEED_M_S,
         turn_rate_rad_s: float = TURN_RATE_RAD_S,
     ) -> np.ndarray:
-        """Move the sonar as by keys that were held for a time, see `sonar_gl.live.motion.moved`; return its pose."""
+        """Move the sonar as by keys held for a time, see `sonar_gl.live.key_motion.moved`; return its pose."""
         with self._lock:
             pose = moved(self._motion.now().pose, keys, dt_s, speed_m_s, turn_rate_rad_s)
             self._motion.put(pose)

@@ -17,10 +17,10 @@ from sonar_gl.core.poses import read_poses
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.command_line import SceneSource
 from sonar_gl.live.output import DEFAULT_FOLDER
-from sonar_gl.live.page import ViewerPage, load_viser
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.view.page import ViewerPage, load_viser
 from sonar_gl.ping import Ping
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene

@@ -49,7 +49,7 @@ def tidy_ply(data: bytes) -> bytes:
         return data
     order = "<" if order[1] == b"little" else ">"
     try:
-        start, properties, count, kept = _faces(data, header, order)
+        start, properties, count, kept = _faces(header, order)
         triangles = _triangles(data, start, properties, count)
     except (KeyError, ValueError, IndexError, OverflowError, struct.error):
         return data
@@ -98,7 +98,7 @@ def _corners_of_text(words: list[bytes], properties: list[tuple[str, bool]]) -> 
     raise ValueError("no corners")
 
 
-def _faces(data: bytes, header, order: str) -> tuple[int, list, int, bytes]:
+def _faces(header, order: str) -> tuple[int, list, int, bytes]:
     """Return where the faces start, their properties (name, types), their number, and the header before them.
 
     Raises a ValueError if lists come before them, or there are none.

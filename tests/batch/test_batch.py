@@ -23,15 +23,18 @@ from rosbags.highlevel import AnyReader
 import sonar_gl as sg
 from sonar_gl.batch import outputs, parts
 from sonar_gl.batch import requests as batch_requests
+from sonar_gl.batch import survey as survey_module
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
-from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part, try_pings
+from sonar_gl.batch.parts import Batch
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
+from sonar_gl.batch.steps import begin, create_store, finalize, make_part
 from sonar_gl.batch.store import PingTable
+from sonar_gl.batch.survey import survey, try_pings
 from sonar_gl.batch.trajectories import SectorScan
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine import pipeline, sequence
@@ -852,7 +855,7 @@ def test_a_survey_says_what_decides_the_samples_of_each_ping(tmp_path, monkeypat
     monkeypatch.setattr(LevelSearch, "choose", choose)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = parts.survey(batch, 0)
+        found = survey(batch, 0)
     one, other, *_ = (body.name for body in batch.requests.scene(0).bodies)
     expected = [
         (100, 0.04, "", False, ""),
@@ -876,7 +879,7 @@ def test_a_survey_that_fails_has_reported_its_warnings(tmp_path, monkeypatch):
 
     monkeypatch.setattr(LevelSearch, "choose", choose)
     with pytest.raises(sg.Error, match="do not fit"):
-        parts.survey(batch, 0, lambda *told: reports.append(told))
+        survey(batch, 0, lambda *told: reports.append(told))
     sonar, scene = next(iter(batch.requests.sonars)), batch.requests.job.scenes[0]
     assert reports == [("warning", f"warning: {sonar} in {scene}: the water is cold")]
 
@@ -910,7 +913,7 @@ def test_the_cost_of_a_ping_is_that_of_pings_spread_over_the_job(tmp_path, monke
         return sequence.make_pings(run, iter(requests))
 
     monkeypatch.setattr(parts, "make_pings", timed)
-    monkeypatch.setattr(parts.time, "perf_counter", lambda: now_s[0])
+    monkeypatch.setattr(survey_module.time, "perf_counter", lambda: now_s[0])
     cost = try_pings(batch)
     numbers = np.arange(more + 40 * n_scenes)
     is_first = (numbers >= more) & (numbers < more + 40)

@@ -13,7 +13,7 @@ import llvmlite.binding
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.batch import parts as parts_module
+from sonar_gl.batch import steps
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import LOCK, Folder, record_bytes
 from sonar_gl.batch.job import read_job
@@ -266,7 +266,7 @@ def test_a_part_that_is_made_again_never_lacks_a_file(made, out, monkeypatch):
     batch, names = open_batch(made / "job.toml", out), [*json.loads((out / RECORD).read_text())["files"]]
     real, lacking = Folder.remove, []
     monkeypatch.setattr(Folder, "remove", lambda folder, name: (lacking.append(name), real(folder, name)))
-    parts_module.make_part(batch, 1)
+    steps.make_part(batch, 1)
     batch.close()
     assert len(names) > 1 and lacking == []
     assert files_of(out) == files_of(made / "out")
@@ -346,7 +346,7 @@ def test_a_plan_says_what_made_it(made):
 def test_a_plan_says_on_what_processor_it_began_and_goes_on_with_another(made, half, monkeypatch):
     begun = Manifest.load(Folder(half))
     assert begun.processor == llvmlite.binding.get_host_cpu_name()
-    monkeypatch.setattr(parts_module, "processor", lambda: "generic")
+    monkeypatch.setattr(steps, "processor", lambda: "generic")
     assert replace(begun, processor="generic").identity == begun.identity
     (half / BEGUN).unlink()
     assert resume(made, half, "--mend")[0] == 0 and run("batch", "--check", half)[0] == 0

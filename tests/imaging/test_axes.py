@@ -179,7 +179,7 @@ def test_pictures_of_a_sonar_have_one_size_whatever_the_gain_of_each_ping(monkey
         texts.clear()
         given = draw_axes(colorize(fan_image(ping, 800)), ping, "copper")
         ends |= {text for text in texts if text.startswith("0  ")}
-        sizes |= {given.shape, FanStyle(800, "copper", True)(None, ping).shape}
+        sizes |= {given.shape, FanStyle(800, "copper", True)(ping).shape}
         bare = replace(ping, sonar=None)
         sizes.add(draw_axes(colorize(fan_image(bare, 800, law)), bare, "copper", law).shape)
     assert len(sizes) == 1

@@ -22,7 +22,7 @@ def test_fan_style(axes):
     ping = replace(ping, sonar=sonar)
     expected = sg.colorize(sg.fan_image(ping, 90, law), "hot")
     expected = sg.draw_axes(expected, ping, "hot", law) if axes else expected
-    assert (FanStyle(90, "hot", axes)(None, ping, 5) == expected).all()
+    assert (FanStyle(90, "hot", axes)(ping) == expected).all()
 
 
 def test_a_notebook_shows_the_picture_of_a_ping():

@@ -14,11 +14,11 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error
-from sonar_gl.live import page as page_module
 from sonar_gl.live.command_line import SceneSource
-from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.view import page as page_module
+from sonar_gl.live.view.page import ViewerPage
 from sonar_gl.live.view.scene_nodes import GIZMO_PIXELS
 from tests.support.browser import COUNT_PICTURES, MissingBrowserError, open_browser
 

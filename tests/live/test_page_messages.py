@@ -15,13 +15,13 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.analysis import terms as terms_module
 from sonar_gl.live import live_sonar as live_sonar_module
-from sonar_gl.live import page as page_module
 from sonar_gl.live import recording as recording_module
-from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.view import page as page_module
 from sonar_gl.live.view.control_panel import MAX_OWN
+from sonar_gl.live.view.page import ViewerPage
 from sonar_gl.live.view.scene_nodes import pose_of
 from sonar_gl.live.viewer import LiveView
 from tests.support.viser_client import connected

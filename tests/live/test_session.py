@@ -54,7 +54,7 @@ def expected(scene, settings, pose=None, after=None, **more):
 def test_first_frame_is_the_simulators_ping_as_the_device_shows_it(scene, session):
     frame, ping = session.frame, expected(scene, QUIET)
     assert frame.ping.intensity.tobytes() == ping.intensity.tobytes()
-    assert frame.picture.tolist() == FanStyle(100, "copper", False)(None, ping).tolist()
+    assert frame.picture.tolist() == FanStyle(100, "copper", False)(ping).tolist()
     assert frame.pose.tolist() == np.eye(4).tolist()
     assert (frame.error_estimate, frame.number, frame.notes) == (ping.error_estimate, 0, ())
 

@@ -15,7 +15,7 @@ from sonar_gl.core.poses import pose
 from sonar_gl.embed.camera import SONAR_FROM_OPTICAL
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.live.frame import LiveFrame
-from sonar_gl.live.motion import KEYS
+from sonar_gl.live.key_motion import KEYS
 from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined, picture_of, pixel_cells
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.actions import Actions
@@ -26,7 +26,7 @@ from sonar_gl.live.view.outline import PictureSector, fan_arcs, fan_outline
 from sonar_gl.live.view.ping_panel import HELP_HTML, PANEL
 from sonar_gl.live.view.price_table import prices_html
 from sonar_gl.live.view.range_marks import MarkedPicture, marks_html
-from sonar_gl.live.view.range_scale import allowed_range_m, range_scale, shown_range_m
+from sonar_gl.live.view.scales import allowed_range_m, range_scale, shown_range_m
 from sonar_gl.sonar.sonar import Sonar
 from sonar_gl.sonar.sonar_files import presets
 from tests.support.fan_ping import fan_ping

@@ -16,8 +16,9 @@ import sonar_gl as sg
 from sonar_gl.cli import main as cli
 from sonar_gl.cli import view as command
 from sonar_gl.cli.output import echo
-from sonar_gl.live import live_sonar, page, viewer
+from sonar_gl.live import live_sonar, viewer
 from sonar_gl.live.session import LiveSession
+from sonar_gl.live.view import page
 from sonar_gl.ping import Ping
 
 POSES = "t,x,y,z,roll,pitch,yaw\n0,0,0,-5,0,0.2,0\n2,1,0,-5,0,0.2,0\n"

@@ -12,7 +12,8 @@ import signal
 import time
 from pathlib import Path
 
-from sonar_gl.batch import parts, pool
+from sonar_gl.batch import pool, steps
+from sonar_gl.batch.parts import no_report
 from sonar_gl.cli import main as cli
 from sonar_gl.engine.run import Run
 
@@ -45,17 +46,17 @@ def resolve(run, request):
     return real(run, request)
 
 
-def begin(batch, report=parts.no_report):
+def begin(batch, report=no_report):
     if deadly_begins:
         left = int(Path(deadly_begins).read_text())
         Path(deadly_begins).write_text(str(left - 1))
         if left > 0:
             die()
-    return parts.begin(batch, report)
+    return steps.begin(batch, report)
 
 
 Run.resolve = resolve
-parts.STEPS["begin"] = begin
+steps.STEPS["begin"] = begin
 
 pool.STALL_S = float(os.environ.get("STALL_S", pool.STALL_S))
 

@@ -5,7 +5,8 @@ from pathlib import Path
 from sonar_gl.batch.folder import LOCK, Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest
-from sonar_gl.batch.parts import Batch, begin, create_store, finalize, make_part
+from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.steps import begin, create_store, finalize, make_part
 from tests.support.command_line import BODY, SONAR, WALL
 
 BOX = BODY.format("box_1", "3 0.3 -0.3", "0.2 0.2 0.2")

@@ -2,10 +2,12 @@
 
 from contextlib import contextmanager
 
+from sonar_gl.batch import dry_run
 from sonar_gl.batch import run as runs
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
-from sonar_gl.batch.parts import STEPS, Batch
+from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.steps import STEPS
 
 
 class InlinePool:
@@ -30,7 +32,8 @@ class InlinePool:
 
 def use_inline_pool(monkeypatch) -> None:
     """Have batches that this process begins, also by the command line, run in it."""
-    monkeypatch.setattr(runs, "Pool", InlinePool)
+    for module in (runs, dry_run):
+        monkeypatch.setattr(module, "Pool", InlinePool)
 
 
 def run_batch(job, out, done=lambda: None, **settings) -> None:

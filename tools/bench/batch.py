@@ -40,11 +40,12 @@ from sonar_gl.batch import folder as folder_module
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import Manifest, default_pings_per_part, record_name
-from sonar_gl.batch.parts import Batch, begin, create_store
+from sonar_gl.batch.parts import Batch
 from sonar_gl.batch.pool import ONE_THREAD, Pool
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.run import run as run_batch
 from sonar_gl.batch.schema import Schema
+from sonar_gl.batch.steps import begin, create_store
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.noise.noise import add_noise
 from tools import internals

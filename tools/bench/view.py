@@ -13,10 +13,10 @@ from __future__ import annotations
 import time
 
 import sonar_gl as sg
-from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.view.page import ViewerPage
 from tests.support.browser import COUNT_PICTURES, open_browser
 from tools.bench import harness
 from tools.bench.harness import Aim

@@ -40,9 +40,10 @@ KIRCHHOFF_ENDS_DB = 15.0  # below its largest value, where small roughness takes
 # of means that labels have: nearer to grazing Lambert's law goes to zero
 GREATEST_INCIDENCE_RAD = math.radians(88.0)
 RAYS = 2_000_000
+SOUND_SPEED_M_S = 1500.0
 
 
-def floor_backscattering(name: str, grazing_rad, frequency_hz: float, sound_speed_m_s: float = 1500.0):
+def floor_backscattering(name: str, grazing_rad, frequency_hz: float):
     """Return the backscattering cross section of a sea floor per area and steradian, by TR 9407.
 
     Parameters
@@ -55,7 +56,7 @@ def floor_backscattering(name: str, grazing_rad, frequency_hz: float, sound_spee
     """
     g, known = np.asarray(grazing_rad, np.float64), material(name)
     w2, sigma2 = SEDIMENTS[name]
-    k_cm = 2 * math.pi * frequency_hz / sound_speed_m_s / 100  # the spectrum is in centimetres
+    k_cm = 2 * math.pi * frequency_hz / SOUND_SPEED_M_S / 100  # the spectrum is in centimetres
     rho, nu, delta, gamma = known.density_ratio, known.speed_ratio, known.loss, SPECTRAL_EXPONENT
     kappa = (1 + 1j * delta) / nu
     p = np.sqrt(kappa**2 - np.cos(g) ** 2)
@@ -63,15 +64,15 @@ def floor_backscattering(name: str, grazing_rad, frequency_hz: float, sound_spee
     spectrum = w2 * np.maximum(2 * k_cm * np.cos(g), 1e-3) ** -gamma
     small = 4 * k_cm**4 * np.sin(g) ** 4 * np.abs(y) ** 2 * spectrum
 
-    rough, ends = kirchhoff(name, frequency_hz, sound_speed_m_s)
+    rough, ends = kirchhoff(name, frequency_hz)
     share = 1 / (1 + np.exp(80 * (np.cos(g) - np.cos(ends))))
     return share * rough(g) + (1 - share) * small + sediment_backscattering(g, rho, nu, delta, sigma2)
 
 
-def kirchhoff(name: str, frequency_hz: float, sound_speed_m_s: float = 1500.0) -> tuple[Callable, float]:
+def kirchhoff(name: str, frequency_hz: float) -> tuple[Callable, float]:
     """Return Kirchhoff's cross section of a sea floor by grazing angle, radians, and the angle at which it ends."""
     known, w2, of = material(name), SEDIMENTS[name][0], math.gamma
-    k_cm = 2 * math.pi * frequency_hz / sound_speed_m_s / 100
+    k_cm = 2 * math.pi * frequency_hz / SOUND_SPEED_M_S / 100
     alpha = SPECTRAL_EXPONENT / 2 - 1
     a = 8 * alpha**2 * of(0.5 + 0.5 / alpha) / (of(0.5) * of(1 / alpha) * of(0.5 / alpha))
     a = a ** (2 * alpha)

@@ -16,9 +16,9 @@ from PIL import Image
 
 from sonar_gl.core.atomic_file import atomic_write
 from sonar_gl.live.command_line import SceneSource
-from sonar_gl.live.page import ViewerPage
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
+from sonar_gl.live.view.page import ViewerPage
 from sonar_gl.scene.load import load_scene
 from sonar_gl.sonar.sonar_files import load_sonar
 from tests.support.browser import COUNT_PICTURES, open_browser

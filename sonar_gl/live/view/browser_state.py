@@ -22,7 +22,7 @@ class BrowserState:
     pointer : (right, down) over the picture, 0..1 of its width and height; None where it is elsewhere
     clicks : number of clicks at the picture
     clicked : (right, down) of the last one
-    keys : names of `live.motion.KEYS` that are held
+    keys : names of `live.key_motion.KEYS` that are held
     frame_s : seconds that the browser lately took for a frame of the scene, 0..MAX_FRAME_S; 0 if it has not said so
     """
 

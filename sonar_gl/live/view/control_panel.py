@@ -12,13 +12,12 @@ from sonar_gl.analysis.terms import Price
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.core.worker import Job
 from sonar_gl.imaging.colormaps import OFFERED
-from sonar_gl.live.motion import SPEED_M_S
+from sonar_gl.live.key_motion import SPEED_M_S
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import ENGINES, FORMS, LiveSettings, term_names
 from sonar_gl.live.view.actions import Actions, tell
-from sonar_gl.live.view.number_scale import NumberScale
 from sonar_gl.live.view.price_table import prices_html
-from sonar_gl.live.view.range_scale import allowed_range_m, range_scale, shown_range_m
+from sonar_gl.live.view.scales import NumberScale, allowed_range_m, range_scale, shown_range_m
 from sonar_gl.noise.settings import PRESETS
 from sonar_gl.sonar.sonar import Sonar
 from sonar_gl.sonar.sonar_files import presets

@@ -14,10 +14,10 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.embed.camera import SONAR_FROM_OPTICAL
 from sonar_gl.imaging.fan_image import FanGeometry, fan_geometry
-from sonar_gl.live.decimate import BrowserMesh, browser_meshes
 from sonar_gl.live.frame import LiveFrame, Surface
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.view.actions import Actions
+from sonar_gl.live.view.browser_meshes import BrowserMesh, browser_meshes
 from sonar_gl.live.view.outline import (
     SELECTED_COLOR,
     PicturePixels,

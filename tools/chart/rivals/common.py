@@ -31,7 +31,7 @@ class Rival:
 
     renderer = "CPU"
 
-    def __init__(self, scene, sonar, acoustics, sampling=None, n_columns=None):
+    def __init__(self, sonar, acoustics, sampling=None, n_columns=None):
         reach, pattern = acoustics.receive_support_rad(sonar), acoustics.receive_pattern(sonar)
         fan = make_fan(sonar, sampling or sg.Sampling(1, 16), BeamShape(reach, pattern is None))
         if n_columns:

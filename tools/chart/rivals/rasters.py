@@ -36,7 +36,7 @@ class MeanRaster(Rival):
     factor = 1.0
 
     def __init__(self, scene, sonar, acoustics, pose, resolution):
-        super().__init__(scene, sonar, acoustics, sampling=sg.Sampling(*resolution))
+        super().__init__(sonar, acoustics, sampling=sg.Sampling(*resolution))
         self.simulator = sg.Simulator(scene, sonar, acoustics, sg.Sampling(*resolution), engine="cpu")
         self.samples = sum(sector.rows * sector.columns for sector in self.simulator.fan.sectors)
         self.work = np.zeros((2, 2, sonar.n_bins), np.float32)

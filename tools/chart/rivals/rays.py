@@ -20,7 +20,7 @@ class Rays(Rival):
     """The base of rivals that trace; `lay` takes their rays."""
 
     def __init__(self, scene, sonar, acoustics, pose, **how):
-        super().__init__(scene, sonar, acoustics, **how)
+        super().__init__(sonar, acoustics, **how)
         self.embree = in_embree(scene, pose)
         self.packets = make_packet(), make_packet()
 

@@ -152,7 +152,7 @@ class Slices(Rival):
     """Continuous faces, no rays; a resolution is (slices a beam spacing, 0)."""
 
     def __init__(self, scene, sonar, acoustics, pose, resolution):
-        super().__init__(scene, sonar, acoustics)
+        super().__init__(sonar, acoustics)
         corners, mu = [], []
         for body in scene.bodies:
             vertices = np.asarray(body.mesh.vertices) @ body.pose[:3, :3].T + body.pose[:3, 3]

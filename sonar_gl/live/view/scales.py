@@ -1,17 +1,60 @@
-"""The ranges that the page offers for a sonar."""
+"""The numbers that sliders of the page offer."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
+from sonar_gl.core.checks import check_number
 from sonar_gl.live.settings import LiveSettings
-from sonar_gl.live.view.number_scale import NumberScale
 from sonar_gl.live.view.outline import round_step
 from sonar_gl.sonar.sonar import Sonar
 
+MAX_DECIMALS = 4  # of numbers between the steps
 # Greatest range on offer over the sonar's own, where it has no limit: the mean of the presets is 3.2
 UNKNOWN_LIMIT_FACTOR = 4.0
 STEPS = 200  # of the slider, about
+
+
+@dataclass(frozen=True)
+class NumberScale:
+    """A slider, and the field beside it, into which any number may be typed.
+
+    Attributes
+    ----------
+    label : "name, unit", or a name that says its unit
+    low, high, step : ends and step, in the unit of the label
+    decimals : of the numbers on show
+    """
+
+    label: str
+    low: float
+    high: float
+    step: float
+    decimals: int
+
+    def holding(self, value: float) -> NumberScale:
+        """Return a scale that shows a number in force as it is: a command line or a script may set any.
+
+        >>> scale = NumberScale("tolerance, %", 0.5, 20.0, 0.5, 1)
+        >>> scale.holding(5.0) == scale, scale.holding(50.0).high, scale.holding(0.25).decimals
+        (True, 50.0, 2)
+        """
+        decimals = self.decimals
+        while decimals < MAX_DECIMALS and round(value, decimals) != value:
+            decimals += 1
+        return replace(self, low=min(self.low, value), high=max(self.high, value), decimals=decimals)
+
+    def check(self, value) -> float:
+        """Return a number that a browser has sent; Error beyond the ends.
+
+        >>> NumberScale("tolerance, %", 0.5, 20.0, 0.5, 1).check(50)
+        Traceback (most recent call last):
+            ...
+        sonar_gl.core.errors.Error: tolerance must lie in 0.5..20 (got 50; give %)
+        """
+        name, _, unit = self.label.partition(", ")
+        return check_number(name, value, self.low, self.high, f"give {unit}" if unit else "")
 
 
 def range_scale(settings: LiveSettings) -> NumberScale:

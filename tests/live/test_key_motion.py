@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.core.poses import pose, pose_numbers
-from sonar_gl.live.motion import KEYS, moved
+from sonar_gl.live.key_motion import KEYS, moved
 
 START = pose(1, 2, -3, yaw=np.pi / 2)  # looks along y; port is -x
 

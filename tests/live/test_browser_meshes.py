@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.live.decimate import browser_meshes
+from sonar_gl.live.view.browser_meshes import browser_meshes
 
 
 def test_a_small_scene_stays_as_it_is():

@@ -1,0 +1,165 @@
+"""A dry run: some pings of a job tell its size, its time and its hardest views."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+
+import numpy as np
+
+from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job import Job
+from sonar_gl.batch.manifest import Manifest
+from sonar_gl.batch.pool import Pool
+from sonar_gl.batch.requests import BatchRequests
+from sonar_gl.batch.survey import HardView, SeenClasses
+from sonar_gl.core.poses import pose_numbers
+from sonar_gl.scene.extent import millimetres_text
+from sonar_gl.scene.scene import Scene
+
+# of each scene and sonar, a dry run names so many
+HARDEST = 3  # views
+RAREST = 10  # classes
+
+
+def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
+    """Make some pings of a job in a temporary folder, and return a text on the job's size and time."""
+    requests = BatchRequests(job)
+    for text in (*requests.device_warnings(), *requests.hull_warnings()):
+        report(text)
+    with (
+        tempfile.TemporaryDirectory() as url,
+        Pool(job.plain, url, devices, report, is_dry_run=True) as pool,
+    ):
+        manifest = pool.call("begin")
+        manifest.save(Folder(url))
+        pool.call("create")
+        tried = pool.call("try")
+        surveys = [pool.call("survey", scene) for scene in range(len(job.scenes))]
+    n, lines = manifest.n_pings, []
+    for run in requests.runs:
+        first, last = run.numbers[0], run.numbers[-1]
+        start_s, end_s = requests[first].time_s, requests[last].time_s
+        lines.append(f"pings {first}..{last}: scene {job.scenes[run.scene]}, {start_s:g} to {end_s:g} s")
+    for scene, name in enumerate(job.scenes) if job.changes_scenes else ():
+        lines.append(f"scene {name}: {_contents_text(requests.scene(scene))}")
+    for scene, views in enumerate(surveys):
+        for name, sonar in requests.sonars.items():
+            size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
+            lines += _views_text(size, [view for view in views if view.sonar == name], requests)
+            lines += [_seen_text(one) for one in tried.seen if (one.scene, one.sonar) == (scene, name)]
+        if text := millimetres_text(requests.scene(scene)):
+            report(f"warning: {job.scenes[scene]}: {text}")
+    parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
+    lines.append(f"{n} pings in {parts}")
+    size = _amount(n * tried.bytes_per_ping)
+    lines.append(f"size: {size} ({tried.bytes_per_ping / 1e3:.0f} kB a ping)")
+    one_s, processes = n * tried.seconds_per_ping, min(len(devices), manifest.n_parts)
+    best_s = _busiest_pings(manifest, processes) * tried.seconds_per_ping
+    lines.append(
+        f"speed: {1 / tried.seconds_per_ping:.3g} pings a second in one process ({1e3 * tried.seconds_per_ping:.1f} ms "
+        f"a ping, on {manifest.system.gl_renderer}; measured on this machine by "
+        f"{_numbers_text(tried.numbers)}, after all was compiled)"
+    )
+    lines.append(
+        f"time: {_duration(one_s)} for all pings in one process, {_duration(best_s)} at best in {processes}, if each "
+        "has as many cores"
+    )
+    return "\n".join(lines)
+
+
+def _numbers_text(numbers: tuple[int, ...]) -> str:
+    """Return a text that names pings spread over a job.
+
+    >>> _numbers_text((0, 9)), _numbers_text((0, 3, 5, 8, 11))
+    ('pings 0, 9', '5 pings spread over the job: 0, 3, 5, .., 11')
+    """
+    if len(numbers) < 5:
+        return f"{'pings' if len(numbers) > 1 else 'ping'} {', '.join(map(str, numbers))}"
+    first = ", ".join(map(str, numbers[:3]))
+    return f"{len(numbers)} pings spread over the job: {first}, .., {numbers[-1]}"
+
+
+def _busiest_pings(manifest: Manifest, processes: int) -> float:
+    """Return how many pings one of these processes makes at least, since a part is made by one process.
+
+    >>> manifest = Manifest({}, "", 20, 8, None, {})
+    >>> [_busiest_pings(manifest, processes) for processes in (1, 2, 3)]
+    [20.0, 10.0, 8]
+    """
+    return max(manifest.n_pings / processes, min(manifest.n_pings, manifest.pings_per_part))
+
+
+def _views_text(size: str, views: list[HardView], requests: BatchRequests) -> list[str]:
+    """Return lines on the samples that the views of a sonar need, and on those that need most."""
+    counts = sorted(view.n_samples for view in views)
+    middle = counts[len(counts) // 2]
+    lines = [f"{size}, {counts[0]} to {counts[-1]} samples a ping, median {middle}, of {len(views)} pings"]
+    hardest = sorted(views, key=lambda view: -view.n_samples)[:HARDEST]
+    for view in hardest if counts[-1] > counts[0] else ():
+        pose = _pose_text(requests[view.number].vehicle_pose)
+        why = f"body {view.body!r}" if view.body else "the whole ping"
+        lines.append(
+            f"  ping {view.number}, vehicle at {pose}: {view.n_samples} samples for {why}, estimated error "
+            f"{view.error_estimate:.2g}"
+        )
+    silent = [view for view in views if not view.has_echo]
+    if silent:
+        first, verb = silent[0], "has" if len(silent) == 1 else "have"
+        pose = requests[first.number].vehicle_pose @ requests.mounts[first.sonar]
+        lines.append(
+            f"  {len(silent)} of these {len(views)} pings {verb} no echo, such as ping {first.number}, sonar at "
+            f"{_pose_text(pose)} ('sonar-gl render --pose' says why)"
+        )
+    enclosed = [view for view in views if view.around]
+    if enclosed:
+        first, verb = enclosed[0], "has" if len(enclosed) == 1 else "have"
+        pose = requests[first.number].vehicle_pose @ requests.mounts[first.sonar]
+        lines.append(
+            f"  {len(enclosed)} of these {len(views)} pings {verb} the sonar in a body or below a floor, such as ping "
+            f"{first.number}, sonar at {_pose_text(pose)}, in or below {first.around!r}"
+        )
+    return lines
+
+
+def _seen_text(seen: SeenClasses) -> str:
+    """Return a line on how often the classes are seen.
+
+    >>> from sonar_gl.batch.survey import SeenClass
+    >>> _seen_text(SeenClasses(0, "p900_45", 16, [SeenClass("diver", 0, 0), SeenClass("box", 9, 210)]))
+    '  labels of 16 pings, with the median of their bins: diver in none, box in 9 (210)'
+    """
+    texts = [
+        f"{one.name} in {one.n_pings} ({one.median_bins})" if one.n_pings else f"{one.name} in none"
+        for one in seen.classes
+    ]
+    more = f", and {len(texts) - RAREST} more" if len(texts) > RAREST else ""
+    rarest = ", ".join(texts[:RAREST]) or "no class"
+    return f"  labels of {seen.n_pings} pings, with the median of their bins: {rarest}{more}"
+
+
+def _pose_text(pose: np.ndarray) -> str:
+    """Return a pose as --pose takes it."""
+    return repr(" ".join(f"{x + 0.0:.4g}" for x in pose_numbers(pose)))
+
+
+def _contents_text(scene: Scene) -> str:
+    """Return what is in a scene: its bodies, plumes, and water's surface."""
+    names = ", ".join(entry.name for entry in scene.bodies_and_plumes)
+    surface = "" if scene.surface_z_m is None else f"; the water's surface at z = {scene.surface_z_m:g} m"
+    return names + surface
+
+
+def _amount(size: float) -> str:
+    for unit in ("kB", "MB", "GB"):
+        size /= 1000
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+    return f"{size / 1000:.3g} TB"
+
+
+def _duration(seconds: float) -> str:
+    for unit, length in (("days", 86400), ("hours", 3600), ("minutes", 60)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.3g} {unit}"
+    return f"{seconds:.3g} seconds"
