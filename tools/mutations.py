@@ -1400,6 +1400,9 @@ MUTATIONS = (
     Mutation("sdf/name in a merged model", "if scope.holds(head):", "if head in scope.links:", SDF),
     Mutation("sdf/pose of a merged model", "model, model_from_inner)", "model, model_from_scope)", SDF),
     Mutation("sdf/shapes at fault", "elements and len(elements) == len(among)", "elements", SDF),
+    Mutation(
+        "sdf/tags in capitals", "get_close_matches(tag.lower(), read", "get_close_matches(tag, read", SDF
+    ),
     Mutation("sdf/body of a model", "if name == link.model:", "if False:", SDF),
     Mutation(
         "sdf/one link",
