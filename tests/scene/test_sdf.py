@@ -1493,6 +1493,19 @@ def test_missing_scene_file_and_resource_path(tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    ("paths", "words"),
+    [
+        (None, "resource_paths must be folders, each text or a Path (got None)"),
+        (["models", 3], "resource_paths must be folders, each text or a Path (got ['models', 3])"),
+        (__file__, f"resource path {__file__!r} must be a folder (got a file)"),
+    ],
+)
+def test_resource_paths_that_are_no_folders_are_refused(tmp_path, paths, words):
+    with pytest.raises(Error, match=re.escape(words)):
+        sg.load_scene(write(tmp_path / "a.sdf", model(link())), paths)
+
+
 def test_names_too_long_for_a_file(message):
     long = "x" * 5000
     assert message(f"<include><uri>model://{long}</uri></include>").startswith("a.sdf: ")
