@@ -88,8 +88,8 @@ def _check_counts(value):
     if not isinstance(value, dict):
         raise ValueError('should be a table, such as { law = "db", low_db = -50 }')
     try:
-        # which fields go together depends on the sonar's own law
-        DEFAULT_COUNTS.changed({"law": "db", **value})
+        # without a law that of the sonar counts, which is not known here
+        DEFAULT_COUNTS.changed({"law": "power" if "exponent" in value else "db", **value})
     except Error as why:
         raise ValueError(str(why)) from None
     return value
