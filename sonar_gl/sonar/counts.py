@@ -106,8 +106,8 @@ class Counts:
     def changed(self, values: Mapping) -> Counts:
         """Return this law with other values of some fields, as a file or an option gives them.
 
-        A gain that is given replaces the other kind of gain. Raises Error for an unknown field, and for one that the law
-        does not use, unless the values are those of all fields, as in the record of a ping.
+        A gain that is given replaces the other kind of gain. Raises Error for an unknown field, and for one that the
+        law does not use, unless the values are those of all fields, as in the record of a ping.
 
         >>> Counts("power", gain_percentile=99).changed({"gain_db": 20})
         Counts(law='power', exponent=0.26, low_db=-60.0, high_db=0.0, gain_db=20, gain_percentile=None, bits=8)
