@@ -618,6 +618,10 @@ def _read_tables(path: Path) -> dict[str, dict]:
     tables = {key: value for key, value in data.items() if isinstance(value, dict) and key != "counts"}
     if not data:
         raise Error(f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})")
+    for key, value in data.items():
+        if isinstance(value, list) and any(isinstance(one, dict) for one in value):
+            got = f"[[{key}]], a list of tables"
+            raise Error(f"{path}: must contain a sonar's keys or its table, [{key}] (got {got})")
     if not tables:
         return {path.stem: data}
     if len(tables) < len(data):
