@@ -152,6 +152,7 @@ MUTATIONS = (
         ("test_pulse",),
     ),
     # footprints of samples into columns and bins
+    Mutation("footprints/slant without a width", "/ max(wide, LEAST_WIDTH * s)", "/ wide", FOOTPRINTS),
     Mutation("footprints/ramp", "t * t * (t / 3 + start / 2)", "t * t * (t / 3 + start / 3)", FOOTPRINTS),
     Mutation("footprints/box height", "(s[m] if past else 0.25)", "(s[m] if past else 0.3)", FOOTPRINTS),
     Mutation(
@@ -456,7 +457,10 @@ MUTATIONS = (
         LABELS,
     ),
     Mutation(
-        "labels/slant of boxes", "rise = work[SLANT, m] / max(work[A, m], work[B, m])", "rise = 0.0", LABELS
+        "labels/slant of boxes",
+        "rise = work[SLANT, m] / max(work[A, m], work[B, m], LEAST_WIDTH * s)",
+        "rise = 0.0",
+        LABELS,
     ),
     Mutation(
         "labels/rise of elevation",
