@@ -152,6 +152,7 @@ MUTATIONS = (
         ("test_pulse",),
     ),
     # footprints of samples into columns and bins
+    Mutation("footprints/slant without a width", "/ max(wide, LEAST_WIDTH * s)", "/ wide", FOOTPRINTS),
     Mutation("footprints/ramp", "t * t * (t / 3 + start / 2)", "t * t * (t / 3 + start / 3)", FOOTPRINTS),
     Mutation("footprints/box height", "(s[m] if past else 0.25)", "(s[m] if past else 0.3)", FOOTPRINTS),
     Mutation(
@@ -456,7 +457,10 @@ MUTATIONS = (
         LABELS,
     ),
     Mutation(
-        "labels/slant of boxes", "rise = work[SLANT, m] / max(work[A, m], work[B, m])", "rise = 0.0", LABELS
+        "labels/slant of boxes",
+        "rise = work[SLANT, m] / max(work[A, m], work[B, m], LEAST_WIDTH * s)",
+        "rise = 0.0",
+        LABELS,
     ),
     Mutation(
         "labels/rise of elevation",
@@ -1406,6 +1410,9 @@ MUTATIONS = (
     Mutation("sdf/name in a merged model", "if scope.holds(head):", "if head in scope.links:", SDF),
     Mutation("sdf/pose of a merged model", "model, model_from_inner)", "model, model_from_scope)", SDF),
     Mutation("sdf/shapes at fault", "elements and len(elements) == len(among)", "elements", SDF),
+    Mutation(
+        "sdf/tags in capitals", "get_close_matches(tag.lower(), read", "get_close_matches(tag, read", SDF
+    ),
     Mutation("sdf/body of a model", "if name == link.model:", "if False:", SDF),
     Mutation(
         "sdf/one link",

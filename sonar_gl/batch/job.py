@@ -45,6 +45,12 @@ LENGTHS = {
     "too_short": "should have a length of at least {min_length}",
     "too_long": "should have a length of at most {max_length}",
 }
+# errors of pydantic about the pattern of a name
+PATTERNS = {
+    r"^[A-Za-z][A-Za-z0-9_]*$": "should begin with a letter, A-Z or a-z, and go on with such letters, digits and _",
+    r"^[\w.-]+$": "should consist of letters, digits, _, - and .",
+}
+SONAR_NAME, JOB_NAME = PATTERNS
 TABLES = "dataclass_type", "dict_type", "model_attributes_type", "model_type"  # of what is no table
 # keys of former versions: what stands in their place
 REPLACED = {
@@ -83,8 +89,8 @@ def _check_counts(value):
     if not isinstance(value, dict):
         raise ValueError('should be a table, such as { law = "db", low_db = -50 }')
     try:
-        # which fields go together depends on the sonar's own law
-        DEFAULT_COUNTS.changed({"law": "db", **value})
+        # without a law that of the sonar counts, which is not known here
+        DEFAULT_COUNTS.changed({"law": "power" if "exponent" in value else "db", **value})
     except Error as why:
         raise ValueError(str(why)) from None
     return value
@@ -141,7 +147,7 @@ class SonarTable(Table):
     """
 
     sonar: Annotated[str, Field(description=SONAR)]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")] = None
+    name: Annotated[str, Field(pattern=SONAR_NAME, description="arrays and topics have this name")] = None
     range_m: Annotated[float, Field(gt=0)] = None
     bins: Annotated[int, Field(ge=1, le=MAX_BINS)] = None
     mount: Mount = Field([0.0] * 6)
@@ -308,7 +314,7 @@ class Job(Table):
     folder : folder of the job file; relative paths in the job start there
     """
 
-    name: Annotated[str, Field(pattern=r"^[\w.-]+$")] = "batch"
+    name: Annotated[str, Field(pattern=JOB_NAME, description="the store has it as its title")] = "batch"
     seed: Annotated[int, Field(ge=0)] = 0
     tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.01
     scenes: Names
@@ -434,6 +440,8 @@ def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
     text = text[:1].lower() + text[1:]
     if error["type"] in LENGTHS:
         text = LENGTHS[error["type"]].format(**error["ctx"])
+    elif error["type"] == "string_pattern_mismatch":
+        text = PATTERNS[error["ctx"]["pattern"]]
     got, cure = error["input"], _cure(kind, error["loc"])
     if error["type"] in TABLES:
         text, known = "should be a table", _known_keys(kind, error["loc"])

@@ -115,6 +115,8 @@ def _check_combination(options, given: set[str]):
                 raise Error(f"{option} needs --style {style} (got --style {options.style})")
     if options.label_level is not None and not options.labels:
         raise Error(f"--label-level needs --labels (got --label-level {options.label_level:g} alone)")
+    if options.labels and "npz" not in options.formats:
+        raise Error("--labels needs --format npz (no other file holds labels)")
     films = [film for film in FILMS if film in options.formats]
     if films and options.poses is None:
         raise Error(f"--format {films[0]} needs --poses (a film needs a sequence of poses)")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonar_gl.core.checks import check_function
+from sonar_gl.core.checks import check_function, check_kind, check_whole_number
 from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.hosts import is_local
 from sonar_gl.core.listeners import Listener
@@ -158,6 +158,8 @@ def view(
     load_numba()
     if on_ping is not None:
         check_function("on_ping", on_ping, "a Ping")
+    check_kind("host", host, str, "such as 127.0.0.1, which this machine alone reaches")
+    check_whole_number("port", port, 0, 65535)  # viser would wait for ever at another
     name = None if isinstance(scene, Scene) else str(scene)
     scene = scene if name is None else load_scene(scene)
     text = sonar if isinstance(sonar, str) else None

@@ -127,8 +127,9 @@ def mujoco_poses(scene: Scene, data) -> dict[str, np.ndarray]:
     Raises
     ------
     Error
-        if `data` is no mujoco.MjData, or has no positions yet.
+        if `scene` is no Scene, `data` is no mujoco.MjData, or it has no positions yet.
     """
+    check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one of the model")
     _check_data(data)
     numbers = {body.name: _body_number(data.model, body.name) for body in scene.bodies}
     return {name: _pose(data.xpos[number], data.xmat[number]) for name, number in numbers.items() if number}

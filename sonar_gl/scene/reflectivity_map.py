@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sonar_gl.core.checks import frozen_array
+from sonar_gl.core.checks import frozen_array, holds_numbers, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.primitives import Shape, make_shape
@@ -49,6 +49,9 @@ def textured_body(
         if an array has the wrong shape, a number is out of bounds, there would be more than two million faces, or there
         are no texture coordinates.
     """
+    Body(
+        name, mesh
+    )  # raises the errors of name and mesh, and warns of a unit, which the split mesh does not state
     location, own_uv = f"body {name!r}", getattr(getattr(mesh, "visual", None), "uv", None)
     if uv is None and own_uv is None:
         raise Error(f"{location}: a mesh with an image needs texture coordinates (give uv, (V, 2))")
@@ -126,7 +129,15 @@ def read_image(image) -> np.ndarray:
     if isinstance(image, (str, Path)):
         what = str(image)
         image = read_image_file(image, "a reflectivity map", "such as PNG of 8 or 16 bits")
-    image = np.asarray(image)
+    given, image = image, np.asarray(image)
+    if not holds_numbers(image):
+        raise Error(f"{what} must be an array of numbers, or the path of a file (got {shown(given)})")
+    if image.ndim == 3 and image.shape[2] not in (
+        1,
+        3,
+        4,
+    ):  # such as colours first, of which a mean would be no image
+        raise Error(f"{what} must have shape (H, W), or (H, W, 1, 3 or 4) of colours (got {image.shape})")
     scale = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
     if image.ndim == 3:
         image = image[:, :, :3].mean(axis=2)
@@ -134,7 +145,8 @@ def read_image(image) -> np.ndarray:
     if not image.size:
         raise Error(f"{what}: must have a texel at least (got {image.shape[1]} x {image.shape[0]})")
     if image.min() < 0 or image.max() > 1:
-        raise Error(f"{what}: reflectivity must lie in 0..1 (got {image.min():g} to {image.max():g})")
+        got, cure = f"{image.min():g} to {image.max():g}", "divide by 255, or give unsigned integers"
+        raise Error(f"{what}: reflectivity must lie in 0..1 (got {got}; {cure})")
     return image
 
 

@@ -106,8 +106,8 @@ class Counts:
     def changed(self, values: Mapping) -> Counts:
         """Return this law with other values of some fields, as a file or an option gives them.
 
-        A gain that is given replaces the other kind of gain. Raises Error for an unknown field, and for one that this
-        law does not use if the values name no law.
+        A gain that is given replaces the other kind of gain. Raises Error for an unknown field, and for one that the
+        law does not use, unless the values are those of all fields, as in the record of a ping.
 
         >>> Counts("power", gain_percentile=99).changed({"gain_db": 20})
         Counts(law='power', exponent=0.26, low_db=-60.0, high_db=0.0, gain_db=20, gain_percentile=None, bits=8)
@@ -124,7 +124,7 @@ class Counts:
         out = replace(self, **{**reset, **values})
         for law, keys in LAWS.items():
             for key in keys:
-                if key in values and law != out.law and "law" not in values:
+                if key in values and law != out.law and len(values) < len(known):
                     raise Error(f"counts: {key} needs the law {law!r} (got the law {out.law!r})")
         return out
 

@@ -14,7 +14,7 @@ from sonar_gl.core.errors import Error, errors_at, nearest_names, similar_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.toml import read_toml, toml_text
-from sonar_gl.sonar.counts import Counts
+from sonar_gl.sonar.counts import LAWS, Counts
 from sonar_gl.sonar.sonar import UNPARSED, Sonar
 
 PRESETS = Path(__file__).with_name("sonars.toml")
@@ -131,7 +131,11 @@ def sonar_file_text(sonar: Sonar) -> str:
     """
     check_kind("sonar", sonar, Sonar, "such as sonar_gl.load_sonar('p900-45')")
     table = _changed_fields(sonar)
-    return toml_text(table | {"counts": _changed_fields(sonar.counts)} if "counts" in table else table)
+    if "counts" in table:  # those of another law would be refused
+        unused = {key for law, keys in LAWS.items() if law != sonar.counts.law for key in keys}
+        changed = _changed_fields(sonar.counts).items()
+        table["counts"] = {key: value for key, value in changed if key not in unused}
+    return toml_text(table)
 
 
 def _changed_fields(one: Sonar | Counts) -> dict:
@@ -162,6 +166,10 @@ def _read_tables(path: Path) -> dict[str, dict]:
     tables = {key: value for key, value in data.items() if isinstance(value, dict) and key != "counts"}
     if not data:
         raise Error(f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})")
+    for key, value in data.items():
+        if isinstance(value, list) and any(isinstance(one, dict) for one in value):
+            got = f"[[{key}]], a list of tables"
+            raise Error(f"{path}: must contain a sonar's keys or its table, [{key}] (got {got})")
     if not tables:
         return {path.stem: data}
     if len(tables) < len(data):

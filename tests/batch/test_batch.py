@@ -1698,6 +1698,17 @@ BAD = [
     ('preset = "physical"', 'prest = "physical"', "noise: unknown key (got 'prest'; did you mean 'preset'?)"),
     ('kind = "sector"', 'kid = "sector"', "poses[0]: unknown key (got 'kid'; did you mean 'kind'"),
     ('kind = "sector"\n', "", "poses[0]: kind must be one of trajectory, lawnmower"),
+    (
+        'name = "level"',
+        'name = "front-left"',
+        "sonars[0].name: should begin with a letter, A-Z or a-z, and go on with such letters, digits and _ "
+        "(got 'front-left'; arrays and topics have this name)",
+    ),
+    (
+        'name = "small"',
+        'name = "my survey"',
+        "name: should consist of letters, digits, _, - and . (got 'my survey'; the store has it as its title)",
+    ),
     ("seed = 5", "only = []", "only: should have a length of at least 1 (got []"),
     ("seed = 5", "without = ['boat']", "without must name bodies of the scene (got 'boat';"),
     ("seed = 5", "surface_z_m = 'x'", "surface_z_m: should be a valid number (got 'x')"),

@@ -5,6 +5,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import trimesh
 
 import sonar_gl as sg
 from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, make_beamformer
@@ -52,6 +53,26 @@ def brute(s, a, b, edges=EDGES, slant=0.0):
     weights = (values * (1 + slant * middles(b) / b) if slant else values).ravel()
     n, values = values.size, values.ravel()
     return np.histogram(1 / values[values > 0], bins=edges, weights=weights[values > 0])[0] / n
+
+
+@pytest.mark.parametrize("slant", [-0.9, 0.0, 0.5])
+def test_a_footprint_without_a_width_at_an_edge_of_bins_keeps_its_echo(slant):
+    """It has been moved to the end of its body; its density had been divided by its width."""
+    s = 1 / EDGES[[1, 30, 299]]
+    found = spread(s, 0.0, 0.0, slant=slant)
+    assert found.sum() == pytest.approx(s.sum(), rel=1e-6)  # float32
+
+
+@pytest.mark.parametrize("labels", [False, True])
+def test_a_body_that_ends_at_an_edge_of_bins_has_the_echo_that_it_has_within_a_bin(labels):
+    """The far side of this ball lies at 3.5 m, and some samples of the side lobes meet it edge-on."""
+    ball = sg.Body("ball", trimesh.creation.icosphere(1, 0.5), sg.pose(3), 1.0)
+    acoustics, echoes = sg.Acoustics.physical(range_law="constant", pulse=False), []
+    for n_bins in (8, 9):  # with an edge there, and without
+        sonar = sg.Sonar("coarse", 900e3, 33, n_bins, 40.0, 10.0, 4.0, 0.5, 8.5)
+        with sg.Simulator(sg.Scene([ball]), sonar, acoustics, sg.Sampling(1.5, 21)) as simulator:
+            echoes.append(simulator.ping(sg.pose(), labels=labels).intensity.sum(dtype=float))
+    assert echoes[0] == pytest.approx(echoes[1], rel=1e-6)  # float32
 
 
 @pytest.mark.parametrize(

@@ -977,6 +977,7 @@ def test_options_that_do_not_go_together():
             ("--format", "mp4"),
             "--format mp4 needs --poses (a film needs a sequence of poses)",
         ),
+        (("--labels", "--format", "png"), "--labels needs --format npz (no other file holds labels)"),
         (("--fps", "5"), "--fps needs --format gif or --format mp4 (nothing else has frames)"),
     ):
         assert refused(*options) == message

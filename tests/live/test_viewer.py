@@ -163,6 +163,9 @@ async def note_later(ping):
             r"on_ping must be a plain function of a Ping \(got an async one; .*threadsafe\)",
         ),
         ({"no_setting": 7}, "unknown setting"),
+        ({"port": 80800}, r"port must be a whole number in 0..65535 \(got 80800\)"),
+        ({"port": "8080"}, r"port must be a whole number in 0..65535 \(got '8080'\)"),
+        ({"host": None}, r"host must be a str \(got NoneType; such as 127.0.0.1"),
     ],
 )
 def test_wrong_arguments_are_errors(pages, arguments, message):

@@ -226,6 +226,8 @@ def test_other_objects_are_refused():
     model = model_of(ARM)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
+    with pytest.raises(Error, match=r"scene must be a Scene \(got MjModel; sonar_gl.load_scene makes one"):
+        sg.mujoco_poses(model, data)
     with pytest.raises(Error, match="must have a site or camera for the sonar"):
         sg.mujoco_sonar_pose(data)
 

@@ -153,7 +153,19 @@ def test_images_of_8_and_16_bits_and_of_colour(tmp_path):
 @pytest.mark.parametrize(
     ("image", "words"),
     [
-        (np.full((2, 2), 1.5), "an image: reflectivity must lie in 0..1 (got 1.5 to 1.5)"),
+        (
+            np.full((2, 2), 200.0),
+            "an image: reflectivity must lie in 0..1 (got 200 to 200; divide by 255, or give unsigned integers)",
+        ),
+        (None, "an image must be an array of numbers, or the path of a file (got None)"),
+        (
+            np.array([["a", "b"]]),
+            "an image must be an array of numbers, or the path of a file (got array([['a', 'b']",
+        ),
+        (
+            np.ones((3, 8, 8)),
+            "an image must have shape (H, W), or (H, W, 1, 3 or 4) of colours (got (3, 8, 8))",
+        ),
         (np.full((2, 2), np.nan), "an image: its values must be finite"),
         (np.zeros((0, 2)), "an image: must have a texel at least"),
         (np.zeros(4), "an image: its values must have shape"),
@@ -164,6 +176,30 @@ def test_images_of_8_and_16_bits_and_of_colour(tmp_path):
 def test_invalid_images(image, words):
     with pytest.raises(sg.Error, match=re.escape(words)):
         sg.textured_body("plate", PLATE, image, UV)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "words"),
+    [
+        (
+            trimesh.Scene([trimesh.creation.box()]),
+            "mesh must be a trimesh.Trimesh (got Scene; sonar_gl.load_scene",
+        ),
+        ("plate.obj", "mesh must be a trimesh.Trimesh (got str; "),
+        (trimesh.Trimesh(), "mesh must have at least one face"),
+    ],
+)
+@pytest.mark.parametrize("uv", [None, UV])
+def test_invalid_meshes(mesh, words, uv):
+    with pytest.raises(sg.Error, match=re.escape(f"body 'plate': {words}")):
+        sg.textured_body("plate", mesh, np.ones((2, 2)), uv)
+
+
+def test_a_mesh_in_another_unit_gives_a_warning():
+    mesh = trimesh.creation.box((1, 2, 3))
+    mesh.units = "mm"
+    with pytest.warns(UserWarning, match="a mesh states the unit 'mm'"):
+        sg.textured_body("plate", mesh, np.ones((2, 2)), mesh.vertices[:, :2])
 
 
 def test_too_many_faces_are_refused(monkeypatch):

@@ -1493,6 +1493,19 @@ def test_missing_scene_file_and_resource_path(tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    ("paths", "words"),
+    [
+        (None, "resource_paths must be folders, each text or a Path (got None)"),
+        (["models", 3], "resource_paths must be folders, each text or a Path (got ['models', 3])"),
+        (__file__, f"resource path {__file__!r} must be a folder (got a file)"),
+    ],
+)
+def test_resource_paths_that_are_no_folders_are_refused(tmp_path, paths, words):
+    with pytest.raises(Error, match=re.escape(words)):
+        sg.load_scene(write(tmp_path / "a.sdf", model(link())), paths)
+
+
 def test_names_too_long_for_a_file(message):
     long = "x" * 5000
     assert message(f"<include><uri>model://{long}</uri></include>").startswith("a.sdf: ")
@@ -1706,7 +1719,7 @@ def test_names_of_files_may_be_escaped_as_in_uris(tmp_path, read, message, schem
     ("geometry", "tag", "hint"),
     [
         ("<cylinder><radius>1</radius><lenght>4</lenght></cylinder>", "cylinder/lenght", "length"),
-        ("<sphere><Radius>4</Radius></sphere>", "sphere/Radius", "radius"),
+        ("<sphere><RADIUS>4</RADIUS></sphere>", "sphere/RADIUS", "radius"),
         ("<box><sizes>1 2 3</sizes></box>", "box/sizes", "size"),
     ],
 )
@@ -1736,11 +1749,29 @@ def test_other_tags_of_shapes_give_no_warning(read):
             model(link("<origin>5 0 0 0 0 0</origin>")),
             "world/model[m]/link[link]/origin (did you mean 'pose'?)",
         ),
+        (
+            model(link("<poses>5 0 0 0 0 0</poses>")),
+            "world/model[m]/link[link]/poses (did you mean 'pose'?)",
+        ),
+        (
+            model(link(shape=SHAPE.replace("<geometry>", "<POSE>5 0 0 0 0 0</POSE><geometry>"))),
+            "world/model[m]/link[link]/collision[c]/POSE (did you mean 'pose'?)",
+        ),
+        (
+            model(link(shape=SHAPE.replace("<geometry>", "<origin>5 0 0 0 0 0</origin><geometry>"))),
+            "world/model[m]/link[link]/collision[c]/origin (did you mean 'pose'?)",
+        ),
+        (
+            model(link(shape=SHAPE.replace("collision", "colision"))),
+            "world/model[m]/link[link]/colision (did you mean 'collision'?)",
+        ),
+        (model(link().replace("link", "Link")), "world/model[m]/Link (did you mean 'link'?)"),
+        (model(link()).replace("model", "models"), "world/models (did you mean 'model'?)"),
         (model(SHAPE), "world/model[m]/collision[c] (it must be in a link)"),
         (SHAPE, "world/collision[c] (it must be in a link)"),
     ],
 )
-def test_shapes_out_of_links_and_tags_that_mean_a_pose_are_told_of(tmp_path, inside, told):
+def test_shapes_out_of_links_and_misspelt_tags_are_told_of(tmp_path, inside, told):
     path = write(tmp_path / "a.sdf", inside)
     with pytest.warns(UserWarning) as caught:
         read_sdf(path)

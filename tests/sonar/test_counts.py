@@ -207,6 +207,7 @@ def test_a_file_states_counts(tmp_path, inline):
         ("counts = 8", "must be a table such as"),
         ("counts = { low = -50 }", "unknown key (got 'low'; did you mean 'low_db'"),
         ("counts = { exponent = 0.3 }", "exponent needs the law 'power' (got the law 'db')"),
+        ('counts = { law = "db", exponent = 0.3 }', "exponent needs the law 'power' (got the law 'db')"),
     ):
         path.write_text(keys + wrong)
         with pytest.raises(Error) as caught:
@@ -224,8 +225,9 @@ def test_changes_keep_the_rest():
     assert Counts(gain_db=3).changed({"gain_percentile": 50}) == Counts(gain_percentile=50)
     assert law.changed({"law": "db", "low_db": -40}) == replace(law, law="db", low_db=-40)
     assert law.changed(asdict(law)) == law
-    with pytest.raises(Error, match="low_db needs the law 'db' \\(got the law 'power'"):
-        law.changed({"low_db": -40})
+    for values in ({"low_db": -40}, {"law": "power", "low_db": -40}):
+        with pytest.raises(Error, match="low_db needs the law 'db' \\(got the law 'power'"):
+            law.changed(values)
 
 
 @pytest.mark.parametrize(

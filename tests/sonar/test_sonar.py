@@ -270,6 +270,10 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
     assert error_of(load_sonar, path) == (
         f"{path}: must contain either a sonar's keys or tables, not both (got key 'frequency_hz' and table 'a')"
     )
+    path.write_text(f"[[sonars]]\n{TEXT}")  # as in a job
+    assert error_of(load_sonar, path) == (
+        f"{path}: must contain a sonar's keys or its table, [sonars] (got [[sonars]], a list of tables)"
+    )
     path.write_text(f"{TEXT}count = {{ law = 'db' }}\n")
     assert error_of(load_sonar, path) == (
         f"{path}: must contain either a sonar's keys or tables, not both "

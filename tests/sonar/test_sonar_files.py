@@ -27,7 +27,9 @@ def test_a_sonar_is_read_as_it_was_written(sonar, tmp_path):
     assert sg.load_sonar(path) == sonar
 
 
-def test_what_has_its_default_is_not_written():
+def test_what_has_its_default_or_no_effect_is_not_written(tmp_path):
+    sg.save_sonar(tmp_path / "mine.toml", replace(P900, counts=sg.Counts("db", exponent=0.3)))
+    assert sg.load_sonar(tmp_path / "mine.toml").counts == sg.Counts("db")
     text = sonar_file_text(replace(P900, source="", counts=sg.Counts(bits=16)))
     assert "counts = { bits = 16 }\n" in text
     assert not {"source", "tilt_deg", "beam_azimuths_deg"} & {line.split()[0] for line in text.splitlines()}

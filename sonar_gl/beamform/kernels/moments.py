@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import uint64
 
-from sonar_gl.beamform.kernels.spreading import energy_below, slanted_density
+from sonar_gl.beamform.kernels.spreading import LEAST_WIDTH, energy_below, slanted_density
 from sonar_gl.beamform.kernels.work_table import (
     ALONG,
     ALONG_U,
@@ -143,7 +143,7 @@ def spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp):
             _add_moments(cells, slot, last, np.float32(echo), elevation, incidence, range_)
             continue
         inner, outer = bins_s[uint64(first + 1)], bins_s[last]
-        rise = work[SLANT, m] / max(work[A, m], work[B, m])
+        rise = work[SLANT, m] / max(work[A, m], work[B, m], LEAST_WIDTH * s)
         slanted, even_echo = (
             max(1.0 + rise * ((near + inner) / 2 - s), 0.0),
             max(half_height * (near * near - inner**2), 0.0),

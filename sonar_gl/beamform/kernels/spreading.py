@@ -31,6 +31,9 @@ from sonar_gl.core.compiled import as_table, inlined, uncounted
 # The share of a bin up to which the ramps at both ends of a footprint are neglected. Those of neighbouring rows overlap
 # and add up to the same; those of joined rows do not, as on a wall that the sonar sees at an angle.
 SHORT_RAMP, SHORT_RAMP_OF_JOINED = 1 / 4, 1 / 8
+LEAST_WIDTH = (
+    1e-9  # of s: of footprints that end at the range of their body, which an edge of bins may cut, too
+)
 
 
 @uncounted
@@ -75,7 +78,7 @@ def spread_footprints(work, start, stop, sums, spans, c, bins, short_ramp):
             for k in range(uint64(first + 1), last):
                 sums[row, k] += height * density32[k]
         else:
-            rise = work[SLANT, m] / wide
+            rise = work[SLANT, m] / max(wide, LEAST_WIDTH * s)
             steepness, middle_s = np.float32(2 * half_height * rise), np.float32(s)
             for k in range(uint64(first + 1), last):
                 sums[row, k] += (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
@@ -96,7 +99,7 @@ def find_intervals(work, first, last, bins):
     s_first, s_last, first_m, per_metre = bins.s[0], bins.s[-1], bins.first_m, bins.per_metre
     last_bin = bins.s.shape[0] - 2.0
     for m in range(uint64(first), uint64(whole_groups(first, last))):
-        wide = max(a[m], b[m], 1e-9 * s[m])
+        wide = max(a[m], b[m], LEAST_WIDTH * s[m])
         near, far = s[m] + wide, s[m] - wide
         past = far < 0.0  # beyond the horizon, as in `_spread_trapezoid`
         half_height = energy[m] * (s[m] if past else 0.25) / (near * near if past else wide)

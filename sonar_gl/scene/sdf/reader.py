@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,8 +29,16 @@ from sonar_gl.scene.sonar_sensor import SonarSensor
 
 MAX_NESTING = 32
 MAX_MODELS = MAX_BODIES
-# of a model or link: it would stand at the origin without a word
-NO_POSES = "pos", "Pose", "position", "origin"
+# What is read in an element, by which a tag that is misspelt is found: a body would be absent, or stand at the origin,
+# without a word.
+READ = {
+    "world": ("frame", "include", "model"),
+    "model": ("frame", "include", "link", "model", "pose"),
+    "link": ("collision", "pose", "sensor", "visual"),
+    **dict.fromkeys(("collision", "frame", "include", "visual"), ("pose",)),
+}
+NO_POSES = "origin", "position"  # less similar tags that mean a pose
+MISSPELT = 0.8  # least similarity of tags, by `difflib`; the tags that SDF knows beside these reach 0.67
 CHANGES_OF_INCLUDED = "}params", "experimental:params"  # in an include, whether the prefix is declared or not
 NOT_READ = "actor", "population", "road"  # in a world
 OTHER_ROOTS = {  # what a file of this root element is, and what to do with it
@@ -313,7 +323,7 @@ class TreeReader:
 
     Attributes
     ----------
-    misplaced : what to say of shapes out of links, and of tags that mean a pose and are none
+    misplaced : what to say of shapes out of links, and of misspelt tags
     """
 
     def __init__(self, resources: Resources):
@@ -338,14 +348,14 @@ class TreeReader:
         element : its `<world>`, `<model>` or root element
         stack : for each model or file that led here, the file, or None for a model within a file
         """
+        self.misplaced += [scope.location_of(text) for text in _misspelt_tags(element)]
         for child in element:
             name = (child.get("name") or "").strip()
             location = scope.location_of(f"{child.tag}[{name}]")
-            if child.tag in ("model", "include", "link", "frame") and child.find("pose") is None:
-                wrong = [one.tag for one in child if one.tag in NO_POSES]
-                self.misplaced += [f"{location}/{tag} (did you mean 'pose'?)" for tag in wrong]
-            elif child.tag in ("collision", "visual"):
+            if child.tag in ("collision", "visual"):
                 self.misplaced.append(f"{location} (it must be in a link)")
+            elif child.tag in ("frame", "include", "link"):
+                self.misplaced += [f"{location}/{text}" for text in _misspelt_tags(child)]
             if child.tag == "model":
                 placement = child.get("placement_frame") or ""
                 frame = Frame(
@@ -357,6 +367,9 @@ class TreeReader:
             elif child.tag == "link":
                 scope.add(name, Frame(child.find("pose"), location))
                 scope.links[name] = child
+                for shape in child.findall("collision") + child.findall("visual"):
+                    where = f"{location}/{shape.tag}[{(shape.get('name') or '').strip()}]"
+                    self.misplaced += [f"{where}/{text}" for text in _misspelt_tags(shape)]
             elif child.tag == "frame":
                 base = (child.get("attached_to") or "").strip()
                 scope.add(name, Frame(child.find("pose"), location, base))
@@ -435,3 +448,22 @@ class TreeReader:
                 "leave merge out)"
             )
         scope.merge(own_name, location)
+
+
+def _misspelt_tags(element) -> Iterator[str]:
+    """Yield what to say of tags in an element that mean one that is read there; of poses, one that is absent."""
+    for child in element:
+        meant = _meant_tag(element.tag, child.tag) if isinstance(child.tag, str) else None  # no comment
+        if meant is not None and not (meant == "pose" and element.find("pose") is not None):
+            yield f"{child.tag} (did you mean {meant!r}?)"
+
+
+@lru_cache
+def _meant_tag(parent: str, tag: str) -> str | None:
+    """Return the tag that a misspelt one in an element of the tag `parent` means; None of one that is not misspelt."""
+    read = READ.get(parent, ())
+    if tag in read:
+        return None
+    if tag in NO_POSES and "pose" in read:
+        return "pose"
+    return next(iter(difflib.get_close_matches(tag.lower(), read, 1, MISSPELT)), None)

@@ -90,12 +90,18 @@ class Resources:
     def __init__(self, scene_path: Path, resource_paths=()):
         if isinstance(resource_paths, (str, os.PathLike)):
             resource_paths = [resource_paths]
-        roots = [Path(p) for p in resource_paths]
+        try:
+            roots = [Path(p) for p in resource_paths]
+        except TypeError:
+            raise Error(
+                f"resource_paths must be folders, each text or a Path (got {shown(resource_paths)})"
+            ) from None
         for root in roots:
             if is_link_loop(root):
                 raise Error(f"resource path {str(root)!r} must be a folder (got {LINK_LOOP})")
             if not root.is_dir():
-                raise Error(f"resource path {str(root)!r} must be a folder (there is none of that name)")
+                got = "got a file" if root.exists() else "there is none of that name"
+                raise Error(f"resource path {str(root)!r} must be a folder ({got})")
         named = [Path(p) for key in SEARCH_PATHS for p in os.environ.get(key, "").split(os.pathsep) if p]
         prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
         named += [Path(prefix, "share") for prefix in prefixes if prefix]

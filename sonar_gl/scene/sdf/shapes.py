@@ -276,7 +276,7 @@ class BodyReader:
                 )
         for child in shape:
             known = not isinstance(child.tag, str) or child.tag in SIZES.get(shape.tag, ())
-            hint = "" if known else similar_names(child.tag, absent)
+            hint = "" if known else similar_names(child.tag.lower(), absent)
             text = f"{location}/{child.tag} ({hint})"
             if hint and text not in self.misspelt:  # a shape of water is read for its surface, too
                 self.misspelt.append(text)
