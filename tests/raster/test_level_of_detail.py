@@ -296,6 +296,16 @@ def test_a_small_mesh_is_one_patch_and_a_larger_one_has_no_coarser_levels(monkey
     np.testing.assert_allclose(levels.box[0], [0, 0, 0, 1, 1, 1], atol=1e-2)
 
 
+def test_a_closed_mesh_that_is_inside_out_is_turned():
+    ball = trimesh.creation.icosphere(2)
+    inside_out = ball.copy()
+    inside_out.invert()
+    one, other = (detail.mesh_with_levels(sg.Body("ball", mesh)) for mesh in (ball, inside_out))
+    assert one.closed == other.closed == 1
+    faces, turned = (by_points(patch_faces(mesh.levels, 0)) for mesh in (one, other))
+    np.testing.assert_array_equal(turned, faces)
+
+
 def test_a_plane_is_not_folded():
     points, faces, rim = grid()
     fewer, _ = simplify(points, faces, rim, len(faces) // 10)
