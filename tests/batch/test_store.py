@@ -198,7 +198,9 @@ def test_the_greatest_number_is_told_from_a_missing_one(name, field, greatest):
     values, step = np.float32([[greatest, np.nan, 0.6 * greatest]]), layer.attributes["scale_factor"]
     found = layer.encode(SimpleNamespace(**{field: values}), None, 0)
     assert found.dtype == layer.dtype and (found == layer.fill).tolist() == [[False, True, False]]
-    np.testing.assert_allclose(found[0, ::2] * step, values[0, ::2], rtol=0, atol=step * 0.501)  # rounding of float32
+    np.testing.assert_allclose(
+        found[0, ::2] * step, values[0, ::2], rtol=0, atol=step * 0.501
+    )  # rounding of float32
 
 
 def test_the_error_of_intensities_is_as_the_attributes_state():

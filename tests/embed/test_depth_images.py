@@ -502,7 +502,9 @@ def test_noise_velocity_and_pose_act_as_in_other_pings():
         assert (ping(noise=locked, seed=7).intensity != there.intensity).any()
         assert (sensor.ping_from_depth(depth, camera).pose == np.eye(4)).all()
         # and without one each ping has its own
-        numbered = [sensor.ping_from_depth(depth, camera, noise=locked, ping_number=n).intensity for n in (0, 1)]
+        numbered = [
+            sensor.ping_from_depth(depth, camera, noise=locked, ping_number=n).intensity for n in (0, 1)
+        ]
         assert (numbered[0] != numbered[1]).any()
 
 

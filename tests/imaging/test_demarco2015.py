@@ -220,7 +220,9 @@ def test_a_quad_has_the_mean_of_its_corners():
 def test_the_fan_is_symmetric():
     inside = picture_of(np.full((1, 3), np.nan), np.zeros(1), **CLEAN).any(axis=2)
     np.testing.assert_array_equal(inside, inside[:, ::-1])
-    assert inside[0].any() and inside.mean() == pytest.approx(1.5 / (4 * np.sin(0.75)), rel=2e-3)  # of 2 R² sin(θ/2)
+    assert inside[0].any() and inside.mean() == pytest.approx(
+        1.5 / (4 * np.sin(0.75)), rel=2e-3
+    )  # of 2 R² sin(θ/2)
 
 
 def test_the_picture_of_a_simulator_has_the_papers_rays_within_the_sonars_range_by_its_range_law():

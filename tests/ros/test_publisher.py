@@ -261,7 +261,9 @@ def test_a_ping_has_the_time_of_its_step_and_the_number_of_pings_before(scene, l
     with publisher_of(wet, loopback, topics={"points": None}) as publisher:
         for time_s in times_s:
             publisher.step(time_s)
-    sent = [by_rosbags(topic, data) for topic, data, _ in loopback.sent if topic.name.endswith("projected_image")]
+    sent = [
+        by_rosbags(topic, data) for topic, data, _ in loopback.sent if topic.name.endswith("projected_image")
+    ]
     with sg.Simulator(wet, SONAR, ACOUSTICS, tolerance=0.05) as simulator:
         for number, (message, time_s) in enumerate(zip(sent, times_s, strict=True)):
             ping = simulator.ping(AT, NOISE, 0, ping_number=number, time_s=time_s)
