@@ -248,26 +248,24 @@ def test_publishers_that_share_a_transport_keep_each_others_fixed_frames(scene, 
 def test_without_a_pose_the_sonar_is_where_the_scene_has_it(scene, loopback):
     with publisher_of(scene, loopback, vehicle_frame="base_link", mount=MOUNT) as publisher:
         publisher.step(0.0)
-    (data,) = (data for topic, data, _ in loopback.sent if topic.name == "/tf")
-    (link,) = message_types().decode(data, "tf2_msgs/msg/TFMessage").transforms
+    (link,) = loopback.messages("/tf")[0].transforms
     found = [getattr(link.transform.translation, axis) for axis in "xyz"]
     np.testing.assert_allclose(found, (AT @ np.linalg.inv(sg.pose(*MOUNT)))[:3, 3], atol=1e-12)
 
 
 def test_a_ping_has_the_time_of_its_step_and_the_number_of_pings_before(scene, loopback):
     """By the bubbles, which rise, and by the noise, as in pings of a simulator."""
-    wet = scene.with_more([sg.Bubbles("plume", sg.pose(2, 0, -3))])
-    times_s = 1.25, 2.5
-    with publisher_of(wet, loopback, topics={"points": None}) as publisher:
+    wet = scene.with_more([sg.Bubbles("plume", sg.pose(2, 0.3, -2.6))])
+    acoustics, times_s = replace(ACOUSTICS, bubbles=True), (1.25, 2.5)
+    with Publisher(wet, SONAR, [loopback], acoustics, NOISE, PublisherSettings()) as publisher:
         for time_s in times_s:
             publisher.step(time_s)
-    sent = [
-        by_rosbags(topic, data) for topic, data, _ in loopback.sent if topic.name.endswith("projected_image")
-    ]
-    with sg.Simulator(wet, SONAR, ACOUSTICS, tolerance=0.05) as simulator:
-        for number, (message, time_s) in enumerate(zip(sent, times_s, strict=True)):
-            ping = simulator.ping(AT, NOISE, 0, ping_number=number, time_s=time_s)
-            assert bytes(message.image.data) == counts_port_first(ping).tobytes()
+    sent = [bytes(message.image.data) for message in loopback.messages("/sonar/projected_image")]
+    with sg.Simulator(wet, SONAR, acoustics, tolerance=0.05) as simulator:
+        pings = [simulator.ping(AT, NOISE, 0, ping_number=n, time_s=times_s[n]) for n in (0, 1)]
+        assert sent == [counts_port_first(ping).tobytes() for ping in pings]
+        other = simulator.ping(AT, NOISE, 0, ping_number=0, time_s=times_s[1])
+        assert (other.counts() != pings[0].counts()).any()
 
 
 @pytest.mark.parametrize("missing", [False, True])
