@@ -2097,6 +2097,138 @@ MUTATIONS = (
         WARN,
     ),
     Mutation("warn/control characters", "text = escape_controls(message)", "text = message", WARN),
+    Mutation(
+        "footprints/horizon of a trapezoid",
+        "if s < wide + thin: scale = energy * s / (energy_below(s + wide + thin, s, wide, thin) "
+        "- energy_below(0.0, s, wide, thin)) row",
+        "if s < wide - thin:\n        scale = energy * s / (energy_below(s + wide + thin, s, wide, thin) "
+        "- energy_below(0.0, s, wide, thin))\n    row",
+        ("test_footprint",),
+    ),
+    # shapes, scenes and their levels of detail
+    Mutation(
+        "shapes/normals of a cone",
+        "(across, up) = facets_around(radius), (length / side, radius / side)",
+        "(across, up) = facets_around(radius), (radius / side, length / side)",
+        ("test_primitives",),
+    ),
+    Mutation(
+        "shapes/edges of four faces",
+        "len(forward) == 0 or (np.diff(forward) == 0).any() or not",
+        "len(forward) == 0 or not",
+        ("test_primitives",),
+    ),
+    Mutation(
+        "shapes/arrays of a trimesh",
+        "self.vertices.copy(), self.faces.copy()",
+        "self.vertices, self.faces",
+        ("test_primitives",),
+    ),
+    Mutation(
+        "scene/long and high",
+        "size_m.max() < LONG_M or size_m.min() < HIGH_M",
+        "size_m.max() < LONG_M and size_m.min() < HIGH_M",
+        ("test_extent",),
+    ),
+    Mutation(
+        "scene/mirrored body", "atol=1e-6) or np.linalg.det(linear) < 0:", "atol=1e-6):", ("test_load",)
+    ),
+    Mutation(
+        "scene/lobe of the material before",
+        'self._set("specular", None) self._set("roughness_rad", None)',
+        "pass",
+        ("test_materials",),
+    ),
+    Mutation(
+        "sdf/invisible solid",
+        'if element.tag != "visual" or link.element.find("collision") is not None:',
+        'if element.tag != "visual":',
+        SDF,
+    ),
+    Mutation(
+        "mujoco/turn of a mocap body",
+        "what.qpos, what.mocap_pos, what.mocap_quat",
+        "what.qpos, what.mocap_pos, data.mocap_quat",
+        ("test_mujoco_model",),
+    ),
+    Mutation(
+        "levels/mesh inside out",
+        "if closed < 0: faces = faces[:, ::-1]",
+        "if closed < 0:\n        pass",
+        ("test_level_of_detail",),
+    ),
+    Mutation(
+        "levels/far from the origin",
+        "simplify(points[used] - points[used[0]], patch",
+        "simplify(points[used], patch",
+        ("test_level_of_detail",),
+    ),
+    # noise that belongs to a place, and pictures
+    Mutation(
+        "noise/texture of the speckle's pattern",
+        "seed, 0, term, *((n",
+        'seed, 0, "speckle", *((n',
+        ("test_k_distribution",),
+    ),
+    Mutation("noise/order of cells by use", "cells.pop(key, None) if", "if", ("test_place_locked_speckle",)),
+    Mutation(
+        "noise/reach of coarse weights",
+        "margin = max(margin, furthest)",
+        "pass",
+        ("test_place_locked_speckle",),
+    ),
+    Mutation(
+        "fan image/beams after the mean",
+        "known_beam) + 0.5) * (n_beams / shape[0]) - 0.5",
+        "known_beam)) * (n_beams / shape[0])",
+        FAN,
+    ),
+    Mutation(
+        "demarco/nearest range",
+        "(range_m >= sonar.range_min_m) & (range_m < sonar.range_max_m)",
+        "range_m < sonar.range_max_m",
+        ("test_demarco2015",),
+    ),
+    Mutation(
+        "demarco/jump of a quad",
+        "MAX_JUMP * range_m.min(axis=1)",
+        "MAX_JUMP * range_m.max(axis=1)",
+        ("test_demarco2015",),
+    ),
+    # what others send and receive
+    Mutation(
+        "embed/axes of the head",
+        "sonar.sonar_from_head[:3, :3].T @ self.rotation",
+        "sonar.sonar_from_head[:3, :3] @ self.rotation",
+        ("test_camera",),
+    ),
+    Mutation(
+        "embed/cameras by use",
+        "self._rigs.pop(key, None)) is None",
+        "self._rigs.get(key)) is None",
+        ("test_depth_images",),
+    ),
+    Mutation(
+        "embed/speckle without a place",
+        "noise = replace(noise, follow_motion=False)",
+        "pass",
+        ("test_depth_images",),
+    ),
+    Mutation(
+        "ros/beams of a tilted head",
+        "turn = ping.sonar.sonar_from_head[:3, :3] @ turn",
+        "turn = turn @ ping.sonar.sonar_from_head[:3, :3]",
+        ("test_bag",),
+    ),
+    Mutation(
+        "ros/vehicle of the scene's sonar",
+        "scene.sonar_pose @ np.linalg.inv(self.settings.vehicle_from_sonar)",
+        "scene.sonar_pose @ self.settings.vehicle_from_sonar",
+        ("test_publisher",),
+    ),
+    Mutation("ros/time of a ping", "time_s=time_ns / 1e9", "time_s=time_ns / 1e6", ("test_publisher",)),
+    Mutation("store/last body of 16 bits", "n_bodies < 65536 else", "n_bodies <= 65536 else", STORE),
+    Mutation("store/steepest incidence", "math.pi / 2 / 254, 255", "math.pi / 2 / 255, 255", STORE),
 )
 
 

@@ -343,7 +343,7 @@ def _bag_information(files: list[BagContents]) -> dict:
     for file in files:
         for topic, (msgtype, count) in file.topics.items():
             topics[topic] = msgtype, count + topics.get(topic, ("", 0))[1]
-    start, end = files[0].start_ns, max(file.end_ns for file in files)
+    start, end = files[0].start_ns, files[-1].end_ns
     return {
         "version": METADATA_VERSION,
         "storage_identifier": "mcap",

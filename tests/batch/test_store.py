@@ -1,6 +1,7 @@
 """The store of a batch: where pings are in its files, whatever the size of parts and chunks."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -177,6 +178,37 @@ def test_creation_repairs_what_is_damaged_and_leaves_the_rest(tmp_path):
     make_store(folder, 12)
     assert {path: path.read_bytes() for path in paths} == before
     assert {path: path.stat().st_mtime_ns for path in times} == times
+
+
+@pytest.mark.parametrize(
+    ("n_bodies", "n_classes", "dtypes"),
+    [(65535, 255, ("uint16", "uint8")), (65536, 256, ("uint32", "uint16"))],
+)
+def test_the_number_of_the_last_body_and_class_fits(n_bodies, n_classes, dtypes):
+    _, *layers = bin_layers(["body", "class"], SONAR, sg.Acoustics.ideal(), 5, n_bodies, n_classes)
+    assert tuple(layer.dtype for layer in layers) == dtypes
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "greatest"),
+    [("range", "true_range_m", SONAR.range_max_m), ("incidence", "incidence_rad", np.pi / 2)],
+)
+def test_the_greatest_number_is_told_from_a_missing_one(name, field, greatest):
+    (_, layer) = bin_layers([name], SONAR, sg.Acoustics.ideal(), 5, n_bodies=9, n_classes=1)
+    values, step = np.float32([[greatest, np.nan, 0.6 * greatest]]), layer.attributes["scale_factor"]
+    found = layer.encode(SimpleNamespace(**{field: values}), None, 0)
+    assert found.dtype == layer.dtype and (found == layer.fill).tolist() == [[False, True, False]]
+    np.testing.assert_allclose(
+        found[0, ::2] * step, values[0, ::2], rtol=0, atol=step * 0.501
+    )  # rounding of float32
+
+
+def test_the_error_of_intensities_is_as_the_attributes_state():
+    (layer,) = bin_layers([], SONAR, sg.Acoustics.ideal(), 5, n_bodies=9, n_classes=1)
+    values = np.random.default_rng(0).uniform(1e-3, 1e3, (100, 100)).astype(np.float32)
+    wrong = np.abs(layer.encode(SimpleNamespace(intensity=values), None, 0) / values - 1).max()
+    stated = layer.attributes["relative_error_max"]
+    assert 0.95 * stated < wrong <= stated
 
 
 @pytest.mark.parametrize("first", [0, 5])

@@ -104,6 +104,7 @@ def test_a_file_of_poses(tmp_path):
     assert len(path) == 3
     np.testing.assert_array_equal(path.times_s, times)
     np.testing.assert_array_equal(times_and_poses(path)[1], poses)
+    assert not path[0][1].flags.writeable  # the table is in memory
     file.unlink()
     other = pickle.loads(pickle.dumps(path))
     assert other == path
@@ -246,6 +247,7 @@ def test_views_aim_at_points_of_a_box():
         ((-1.0, -0.5), (-2.0, 9), 1.0, 2 / math.sin(0.5)),
         ((-1.0, -0.5), (-50, -2.0), 2 / math.sin(1.0), 10.0),
         ((0.0, 0.0), (-1, 1), 1.0, 10.0),
+        ((0.0, 0.0), (-1, 0), 1.0, 10.0),  # up to the height of the target
         ((-1.5708, 1.5708), (3, 3), 3.0, 10.0),
     ],
 )

@@ -87,6 +87,8 @@ def test_a_body_that_ends_at_an_edge_of_bins_has_the_echo_that_it_has_within_a_b
         (0.04, 0.03, 0.004),  # past the last bin
         (0.5, 1.2, 0.0),  # from before the first bin
         (0.3, 0.25, 0.04),
+        (0.3, 0.28, 0.1),  # the ramp of a trapezoid reaches beyond the horizon
+        (0.1, 0.053, 0.2),  # and so does its middle part
     ],
 )
 def test_spread_is_the_distribution_over_the_rectangle(s, a, b):

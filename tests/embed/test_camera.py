@@ -265,6 +265,16 @@ def test_cameras_that_cover_a_tilted_head_look_where_it_looks():
         assert any(camera.sees(direction) for camera in cameras) == is_seen
 
 
+def test_cameras_that_cover_a_tilted_head_see_all_of_its_fan_in_the_axes_of_the_head():
+    """Up to the corners of an aperture of 80 degrees; one that looks ahead of the housing looks up from the head."""
+    sonar = sg.Sonar("tilted", 900e3, 64, 100, 40.0, 80.0, 1.0, 0.5, 10.0, tilt_deg=30.0)
+    cameras = sg.Camera.covering(sonar, sg.Acoustics.ideal(), pixel_deg=0.2)
+    assert covered_fraction(sonar, [camera.seen_from_head(sonar) for camera in cameras]) == 1.0
+    ahead = sg.Camera.of_fov(64, 48, 0.5).seen_from_head(sonar)
+    directions = [sg.pose(pitch=math.radians(down_deg))[:3, 0] for down_deg in (-30, 0, 30)]
+    assert ahead.sees(directions).tolist() == [True, False, False]
+
+
 def test_pixels_of_covering_cameras_may_be_up_to_ten_degrees_wide():
     sonar = sg.load_sonar("p900-45")
     assert sg.Camera.covering(sonar, pixel_deg=10.0)

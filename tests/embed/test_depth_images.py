@@ -501,6 +501,11 @@ def test_noise_velocity_and_pose_act_as_in_other_pings():
         there = sensor.ping_from_depth(depth, camera, sg.pose(2, 2, 3), noise=locked, seed=7)
         assert (ping(noise=locked, seed=7).intensity != there.intensity).any()
         assert (sensor.ping_from_depth(depth, camera).pose == np.eye(4)).all()
+        # and without one each ping has its own
+        numbered = [
+            sensor.ping_from_depth(depth, camera, noise=locked, ping_number=n).intensity for n in (0, 1)
+        ]
+        assert (numbered[0] != numbered[1]).any()
 
 
 def test_a_warning_names_what_the_cameras_do_not_see_once():
@@ -567,6 +572,33 @@ def test_later_pings_reuse_the_beamformer_of_the_first(monkeypatch):
     assert (sg.ping_from_depth(depth, *equal).intensity == first.intensity).all()
     with pytest.raises(AssertionError, match="made again"):
         sg.ping_from_depth(depth, replace(sonar, n_beams=81), camera, IDEAL)
+
+
+def test_the_rigs_of_the_cameras_that_were_used_last_are_kept(monkeypatch):
+    """Those of cameras that differ by their intrinsics alone."""
+    cameras, made = [sg.Camera.of_fov(64, 48, fov_rad) for fov_rad in (0.9, 1.0, 1.1)], []
+
+    class CountedRig(camera_rig.CameraRig):
+        def __init__(self, sonar, rig, *more):
+            made.append(cameras.index(rig[0]))
+            super().__init__(sonar, rig, *more)
+
+    monkeypatch.setattr("sonar_gl.embed.sensor.CameraRig", CountedRig)
+    monkeypatch.setattr("sonar_gl.embed.sensor.MAX_RIGS", 2)
+    with embed.Sensor(sonar_of(), IDEAL, sg.Sampling(1, 16)) as sensor:
+        for number in (0, 1, 0, 2, 0, 1):
+            sensor.ping_from_depth(np.full((48, 64), 5.0), cameras[number])
+    assert made == [0, 1, 2, 1]
+
+
+def test_labels_may_have_the_highest_number_of_a_body():
+    camera = camera_of(sonar_of(), 64)
+    depth = np.full((camera.height, camera.width), 5.0)
+    with embed.Sensor(sonar_of(), IDEAL, sg.Sampling(1, 16)) as sensor:
+        ping = sensor.ping_from_depth(depth, camera, body_id=np.full(depth.shape, 65534), labels=True)
+        assert ping.body_id.max() == 65534 and ping.meta["bodies"][-1] == "body 65534"
+        with pytest.raises(sg.Error, match=r"numbers of bodies must lie in 1\.\.65534"):
+            sensor.ping_from_depth(depth, camera, bodies=["a"] * 65535)
 
 
 def test_samples_are_as_fine_as_pixels():

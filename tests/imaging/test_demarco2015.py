@@ -1,11 +1,13 @@
 """The founding paper's picture of point clouds."""
 
 import math
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+import sonar_gl as sg
 from sonar_gl.core.errors import Error
 from sonar_gl.imaging.demarco2015 import PictureSettings, demarco_picture, stamp_rings
 
@@ -196,16 +198,50 @@ def test_polygons_fill_gaps_between_circles():
     assert filled[floor].all() and not circles[floor].all()
 
 
-def test_polygons_do_not_bridge_jumps():
-    """The range between two walls at 4 and 8 m stays empty."""
+@pytest.mark.parametrize("far_m", [4.43, 8.0])
+def test_polygons_do_not_bridge_jumps(far_m):
+    """The range between a wall at 4 m and one behind it by more than a tenth of that stays empty."""
     azimuth = np.linspace(-0.5, 0.5, 101)
-    range_m = np.where(azimuth < 0, 4.0, 8.0)
+    range_m = np.where(azimuth < 0, 4.0, far_m)
     row = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0 * azimuth], axis=1)
     points = np.concatenate([row, row + np.array([0, 0, 0.1])])
     picture = picture_of(points, np.full(202, 200.0), 1.2, (2, 101), join="polygons", **CLEAN)
     rows, columns = np.nonzero(levels(picture))
     found_m = np.hypot(599.5 - rows, picture.shape[1] / 2 - 0.5 - columns) / 60
-    assert ((np.abs(found_m - 4) < 0.1) | (np.abs(found_m - 8) < 0.1)).all()
+    assert ((np.abs(found_m - 4) < 0.1) | (np.abs(found_m - far_m) < 0.1)).all()
+
+
+def test_a_quad_has_the_mean_of_its_corners():
+    points = np.array([[6.0, 0.2, 0], [6.0, -0.2, 0], [6.4, 0.2, 0], [6.4, -0.2, 0]])
+    picture = picture_of(points, [100, 120, 180, 200], grid_shape=(2, 2), join="polygons", **CLEAN)
+    assert set(np.unique(levels(picture)).tolist()) == {0, 150}
+
+
+def test_the_fan_is_symmetric():
+    inside = picture_of(np.full((1, 3), np.nan), np.zeros(1), **CLEAN).any(axis=2)
+    np.testing.assert_array_equal(inside, inside[:, ::-1])
+    assert inside[0].any() and inside.mean() == pytest.approx(
+        1.5 / (4 * np.sin(0.75)), rel=2e-3
+    )  # of 2 R² sin(θ/2)
+
+
+def test_the_picture_of_a_simulator_has_the_papers_rays_within_the_sonars_range_by_its_range_law():
+    sonar = sg.Sonar("paper", 900e3, 16, 100, 45.0, 20.0, 1.0, 1.0, 10.0)
+    azimuth, range_m = np.radians(np.linspace(22, -22, 280)), np.tile(np.linspace(0.5, 11, 280), (70, 1))
+    points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0 * range_m], axis=-1)
+    asked, acoustics = [], sg.Acoustics.demarco2015("inverse")
+
+    def point_cloud(_, columns, rows):
+        asked.append((rows, columns))
+        return points, np.full(range_m.shape, 0.8)
+
+    simulator = SimpleNamespace(sonar=sonar, acoustics=acoustics, point_cloud=point_cloud)
+    picture = sg.demarco_image(simulator, np.eye(4), noise=sg.Noise.none(), height=200)
+    shown = (range_m >= 1) & (range_m < 10)
+    intensity = (255 * 0.8 * acoustics.range_gain(range_m, sonar))[shown]
+    wanted = demarco_picture(points[shown], intensity, PictureSettings(math.radians(45), 10.0, 200, **CLEAN))
+    assert asked == [range_m.shape] and levels(wanted).max() > 2 * levels(wanted)[levels(wanted) > 0].min()
+    np.testing.assert_array_equal(picture, wanted)
 
 
 def test_point_in_no_quad_has_its_circle():

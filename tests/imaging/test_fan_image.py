@@ -245,6 +245,15 @@ def test_one_bin_is_as_long_as_the_sonars():
     assert fan_geometry(replace(ping, sonar=sonar)).range_edges_m == (10.0, 20.0)
 
 
+def test_a_mirrored_ping_has_a_mirrored_picture():
+    """Of more beams than pixels, of which means are taken first."""
+    ping = fan_ping(n_beams=1000)
+    ping.intensity[:] = np.random.default_rng(0).random(ping.intensity.shape)
+    mirrored = replace(ping, intensity=ping.intensity[::-1])
+    picture, other = (fan_image(one, 101, counts=LINEAR) for one in (ping, mirrored))
+    np.testing.assert_allclose(other[:, ::-1], picture, rtol=0, atol=2**-22)  # float32 sums in another order
+
+
 def test_more_beams_than_cv2_can_count():
     ping = fan_ping(60, 40000, 4, fill=0.5)
     assert fan_image(ping, 100, counts=LINEAR).max() == pytest.approx(0.5, abs=1e-5)

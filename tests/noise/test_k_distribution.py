@@ -58,6 +58,15 @@ def test_moments_of_the_k_distribution(shape):
     assert (x**2).mean() == pytest.approx(second, abs=SIGMAS * np.sqrt((fourth - second**2) / n))
 
 
+def test_a_place_locked_texture_is_independent_of_the_speckle():
+    """Were both of one pattern, the contrast would be √5: intensities would be squares of exponential variates."""
+    ping = with_texture(even_ping(16, 256, 2.0, pose=np.eye(4)), 1.0)
+    noise = Noise(speckle=True, follow_motion=True)
+    x = np.array([add_noise(ping, noise, seed).intensity for seed in range(8)], np.float64)
+    # the contrast of 32768 independent cells, of which the fourth moment is 576, has a standard error of 2.2 %
+    assert x.std() / x.mean() == pytest.approx(np.sqrt(3), rel=0.1)
+
+
 def test_texture_leaves_the_speckle_pattern():
     """A texture of contrast 1 % hardly changes the pattern, so both have the same speckle stream."""
     ping = even_ping()

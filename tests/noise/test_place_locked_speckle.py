@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sonar_gl import Water, pose
-from sonar_gl.acoustics.pulse import PulseResponse
+from sonar_gl.acoustics.pulse import PulseResponse, coarse_reach
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.noise import add_noise
@@ -289,6 +289,22 @@ def test_bins_longer_than_the_pulse_correlate_as_it_does_wherever_the_sonar_is(
         assert correlation(pattern[..., bins:], pattern[..., :-bins]) == pytest.approx(wanted**2, abs=error)
 
 
+def test_waves_have_as_many_bins_as_coarse_weights_reach_from_the_furthest_place():
+    """Beams that look along the diagonal of a cell, from its end: with fewer bins memory beside them would be read."""
+    bin_m, n_bins, n_wave_bins = 0.1, 40, []
+    pulse = PulseResponse(SOUND_SPEED_M_S / (2 * bin_m), "uniform", SOUND_SPEED_M_S)
+    correlated = FieldCorrelation((np.radians(45.0), np.radians(46.0)), BEAM_WIDTH_RAD)
+    shape = FieldShape(correlated, n_bins, bin_m, SOUND_SPEED_M_S / FREQUENCY_HZ, pulse)
+
+    def waves(x, y, chunks, n):
+        n_wave_bins.append(n)
+        return Waves(chunks, np.zeros((CHUNK * len(chunks), 2, n), np.float32))
+
+    place_locked_field(shape, pose(0.29, 0.29), waves)
+    reach = coarse_reach(bin_m, *pulse)
+    assert min(n_wave_bins) >= n_bins + 2 * (0.29 * np.sqrt(2) / bin_m + reach - 1)
+
+
 @pytest.mark.parametrize("share", [0.05, 0.15, 0.25])
 def test_moving_sideways_slides_the_aperture(share):
     aside = share * APERTURE_M * PORT
@@ -392,6 +408,7 @@ def test_only_waves_that_the_pings_before_did_not_receive_are_generated():
     assert generated == [6, 7, 8]
     new, _ = cached_waves(WaveCache(1 << 20), wanted)
     assert found.chunks == new.chunks == wanted
+    assert not found.coefficients.flags.writeable  # later pings have the same
     np.testing.assert_array_equal(found.coefficients, new.coefficients)
 
 
@@ -404,6 +421,13 @@ def test_the_cache_of_waves_keeps_those_that_were_used_last():
     assert cached_waves(cache, range(1), 1)[1] == [0]
     cached_waves(cache, range(3), 3)  # more than fits: not kept
     assert cached_waves(cache, range(3), 3)[1] == [0, 1, 2]
+
+
+def test_waves_that_all_fit_stay_however_long_ago_they_were_used():
+    cache = WaveCache(2 * CHUNK * 2 * 10 * 4)  # bytes of two chunks
+    for key in (0, 1, *[0] * 3 * RECENT_USES):
+        cached_waves(cache, range(1), key)
+    assert cached_waves(cache, range(1), 1)[1] == []
 
 
 def test_of_waves_in_turn_that_do_not_all_fit_some_are_kept():

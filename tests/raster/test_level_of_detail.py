@@ -296,6 +296,31 @@ def test_a_small_mesh_is_one_patch_and_a_larger_one_has_no_coarser_levels(monkey
     np.testing.assert_allclose(levels.box[0], [0, 0, 0, 1, 1, 1], atol=1e-2)
 
 
+def test_a_plane_far_from_the_origin_loses_nothing(monkeypatch):
+    monkeypatch.setattr(detail, "MIN_FACES_TO_SIMPLIFY", 1000)
+    monkeypatch.setattr(detail, "LEAF_FACES", 200)
+    points, faces, _ = grid()
+    levels = make_levels(points + 1e6, faces)
+    assert not levels.error_m.any() and levels.n_faces[0] < len(faces) / 4
+
+
+def test_a_closed_mesh_that_is_inside_out_is_turned():
+    ball = trimesh.creation.icosphere(2)
+    inside_out = ball.copy()
+    inside_out.invert()
+    one, other = (detail.mesh_with_levels(sg.Body("ball", mesh)) for mesh in (ball, inside_out))
+    assert one.closed == other.closed == 1
+    faces, turned = (by_points(patch_faces(mesh.levels, 0)) for mesh in (one, other))
+    np.testing.assert_array_equal(turned, faces)
+
+
+def test_corners_at_one_place_are_one_vertex_whatever_the_sign_of_zero():
+    """Two triangles of one reflectivity, with corners of their own."""
+    points = [[-1, -1, -1], [0.0, -1, -1], [0.0, 1, 1], [-0.0, -1, -1], [1, 1, 1], [-0.0, 1, 1]]
+    two = trimesh.Trimesh(points, [[0, 1, 2], [3, 4, 5]], process=False)
+    assert len(detail.mesh_with_levels(sg.Body("two", two, reflectivity=[0.5, 0.5])).points) == 4
+
+
 def test_a_plane_is_not_folded():
     points, faces, rim = grid()
     fewer, _ = simplify(points, faces, rim, len(faces) // 10)

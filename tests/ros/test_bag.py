@@ -191,9 +191,11 @@ def test_a_target_to_port_is_to_port(tmp_path, read, y_sign):
         assert bearings == sorted(bearings) and bearings[beam] < 0
 
 
-def test_beams_are_those_of_the_tilted_head(tmp_path):
+@pytest.mark.parametrize("y_sign", ["port", "starboard"])
+def test_beams_are_those_of_the_tilted_head(tmp_path, y_sign):
     tilted = replace(IMAGING_SONAR, tilt_deg=10.0)
-    messages = by_rosbags(write(tmp_path, record(ping=make_ping(sonar=tilted))))
+    one = record(ping=make_ping(sonar=tilted))
+    messages = by_rosbags(write(tmp_path, one, settings=BagSettings(y_sign)))
     np.testing.assert_allclose(placed(messages, "p900_45"), SONAR, atol=1e-7)
     ahead = placed(messages, "p900_45_beams")[:3, 2]
     np.testing.assert_allclose(ahead, (SONAR @ pose(pitch=math.radians(10)))[:3, 0], atol=1e-7)
@@ -373,7 +375,7 @@ def test_definitions_include_their_constants(tmp_path):
 
 def test_a_part_includes_the_metadata_of_a_bag(tmp_path):
     """Without their version, newer ROS misreads /tf_static of a file that is opened without its folder."""
-    path = write(tmp_path, record())
+    path = write(tmp_path, record(1.0), record(3.0))
     with path.open("rb") as file:
         (metadata,) = make_reader(file).iter_metadata()
     beside = metadata_of(path).splitlines()
@@ -421,6 +423,7 @@ def test_invalid_parts_are_refused(tmp_path):
     first = write(tmp_path, record(1.0), record(2.0), name="a.mcap")
     second = write(tmp_path, record(1.5), name="b.mcap")
     assert "(got a.mcap until 2 s and b.mcap from 1.5 s)" in error_of(metadata_of, second, first)
+    assert "b.mcap" in metadata_of(write(tmp_path, record(2.0), name="b.mcap"), first)
     complete = second.read_bytes()
     for broken in (complete[:-100], b"", b"\x89MCAP0\r\n" + bytes(200), b"text"):
         second.write_bytes(broken)

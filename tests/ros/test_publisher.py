@@ -28,7 +28,7 @@ from tests.support.loopback_transport import LoopbackTransport
 from tests.support.pose_messages import odometry, pose_stamped, transforms
 from tests.support.waiting import WAIT_S
 
-SONAR = Sonar("tilted", 900e3, 8, 40, 60.0, 20.0, 2.0, 0.6, 4.6, tilt_deg=10.0, ping_rate_max_hz=15.0)
+SONAR = Sonar("tilted", 900e3, 8, 40, 60.0, 20.0, 2.0, 0.7, 4.7, tilt_deg=10.0, ping_rate_max_hz=15.0)
 ACOUSTICS = sg.Acoustics.ideal()
 NOISE = sg.Noise(gaussian=1e-3)
 AT = sg.pose(0.5, -0.25, -2, 0.1, -0.05, 0.3)
@@ -131,8 +131,8 @@ def test_raw_image(sent, decode):
     ping, message = sent[0], decoded(sent, "/sonar/raw_image", decode)
     assert message.header.frame_id == "sonar_beams"
     check_info(message, message.image)
-    # bins of 0.1 m from 0.6 m on
-    assert (message.samples_per_beam, message.sample0) == (40, 6)
+    # bins of 0.1 m from 0.7 m on
+    assert (message.samples_per_beam, message.sample0) == (40, 7)
     assert message.sample_rate == pytest.approx(ACOUSTICS.water.sound_speed() / 0.2, rel=FLOAT32)
     samples = message.sample0 + np.arange(message.samples_per_beam)
     range_m = (samples + 0.5) * message.ping_info.sound_speed / (2 * message.sample_rate)
@@ -243,6 +243,38 @@ def test_publishers_that_share_a_transport_keep_each_others_fixed_frames(scene, 
 
     assert links(other) == {"side_beams": ("side", 1)}
     assert links(loopback) == {"front_beams": ("front", 0), "side_beams": ("side", 1)}
+
+
+def test_without_a_pose_the_sonar_is_where_the_scene_has_it(scene, loopback):
+    with publisher_of(scene, loopback, vehicle_frame="base_link", mount=MOUNT) as publisher:
+        publisher.step(0.0)
+    (link,) = loopback.messages("/tf")[0].transforms
+    found = [getattr(link.transform.translation, axis) for axis in "xyz"]
+    np.testing.assert_allclose(found, (AT @ np.linalg.inv(sg.pose(*MOUNT)))[:3, 3], atol=1e-12)
+
+
+def test_a_ping_has_the_time_of_its_step_and_the_number_of_pings_before(scene, loopback):
+    """By the bubbles, which rise, and by the noise, as in pings of a simulator."""
+    wet = scene.with_more([sg.Bubbles("plume", sg.pose(2, 0.3, -2.6))])
+    acoustics, times_s = replace(ACOUSTICS, bubbles=True), (1.25, 2.5)
+    with Publisher(wet, SONAR, [loopback], acoustics, NOISE, PublisherSettings()) as publisher:
+        for time_s in times_s:
+            publisher.step(time_s)
+    sent = [bytes(message.image.data) for message in loopback.messages("/sonar/projected_image")]
+    with sg.Simulator(wet, SONAR, acoustics, tolerance=0.05) as simulator:
+        pings = [simulator.ping(AT, NOISE, 0, ping_number=n, time_s=times_s[n]) for n in (0, 1)]
+        assert sent == [counts_port_first(ping).tobytes() for ping in pings]
+        other = simulator.ping(AT, NOISE, 0, ping_number=0, time_s=times_s[1])
+        assert (other.counts() != pings[0].counts()).any()
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_points_are_dense_where_each_ray_met_something(missing):
+    points = np.ones((2, 3, 3), np.float32)
+    points[1, 2] = np.nan if missing else 1.0
+    types = message_types()
+    message = types.points(types.header(0, "sonar"), points, np.ones((2, 3), np.float32))
+    assert message.is_dense is not missing
 
 
 @DECODERS

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.scene.extent import body_around
-from sonar_gl.scene.primitives import plane
+from sonar_gl.scene.extent import air_text, body_around, bounds_of, millimetres_text
+from sonar_gl.scene.primitives import INFINITE_PLANE_M, plane
 from tests.support.worlds import terrain
 
 BALL = sg.Body("ball", trimesh.creation.icosphere(2, 1.0), sg.pose(5, 0, 0))
@@ -63,3 +63,23 @@ def test_far_from_the_origin_as_in_utm():
     utm = sg.pose(500_000, 5_600_000, 0)
     assert around([BALL], utm[:3, 3] + [0, 0, 0.9], [utm]) == "ball"
     assert around([BALL], utm[:3, 3] + [0, 0, 1.1], [utm]) == ""
+
+
+@pytest.mark.parametrize(
+    ("size_m", "is_warned"),
+    [((500, 100, 100), True), ((499, 200, 200), False), ((3000, 3000, 99), False), ((3000, 99, 3000), False)],
+)
+def test_a_scene_that_is_long_and_high_may_be_in_millimetres(size_m, is_warned):
+    text = millimetres_text(sg.Scene([sg.Body("block", trimesh.creation.box(size_m))]))
+    assert ("if it was made in millimetres" in text) == is_warned
+
+
+def test_only_the_plane_of_a_collision_has_no_bounds():
+    """A visual's plane of the same length may be narrower."""
+    endless, long = sg.Body("endless", plane()[0]), sg.Body("long", plane(size=(INFINITE_PLANE_M, 3000.0))[0])
+    np.testing.assert_array_equal(bounds_of([endless, long]), [[-11e3, -1500, 0], [11e3, 1500, 0]])
+
+
+def test_a_sonar_at_the_surface_is_in_the_water():
+    scene = sg.Scene([BALL], surface_z_m=-2.0)
+    assert [bool(air_text(scene, sg.pose(z=z))) for z in (-2.001, -2.0, -1.999)] == [False, False, True]

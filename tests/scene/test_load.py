@@ -313,12 +313,15 @@ def test_a_trimesh_scene_keeps_coordinates_and_applies_scale_to_vertices():
     scaled[:3, :3] *= 2
     scene.add_geometry(trimesh.creation.box((1, 2, 3)), node_name="rigid", transform=pose(4, 5, 6, roll=1))
     scene.add_geometry(trimesh.creation.box((1, 2, 3)), node_name="scaled", transform=scaled)
+    mirrored = np.diag([-1.0, 1, 1, 1])
+    scene.add_geometry(trimesh.creation.box((1, 2, 3)), node_name="mirrored", transform=pose(0, 9) @ mirrored)
     scene.add_geometry(trimesh.PointCloud(np.zeros((3, 3))), node_name="points")
     bodies = {body.name: body for body in load_scene(scene).bodies}
-    assert set(bodies) == {"rigid", "scaled"}
+    assert set(bodies) == {"rigid", "scaled", "mirrored"}
     np.testing.assert_array_equal(bodies["rigid"].pose, pose(4, 5, 6, roll=1))
     np.testing.assert_array_equal(bodies["scaled"].pose, pose(1, 2, 3))
     np.testing.assert_allclose(bodies["scaled"].mesh.extents, [4, 2, 6], rtol=1e-14)
+    assert bodies["mirrored"].mesh.volume > 0  # its faces still look outwards
 
 
 # ---- pyrender ----------------------------------------------------------------------------------------

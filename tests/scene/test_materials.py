@@ -167,6 +167,11 @@ def test_a_material_sets_what_a_body_leaves_out():
     assert (rusty.reflectivity, rusty.specular, rusty.roughness_rad) == (0.3, steel.specular, 0.2)
     smooth = replace(whole, specular=0.0)
     assert (smooth.reflectivity, smooth.specular) == (steel.reflectivity, 0.0)
+    glass, other = material("glass"), replace(whole, reflectivity="glass")
+    lobe = other.reflectivity, other.specular, other.roughness_rad
+    assert (
+        lobe == (glass.reflectivity, glass.specular, glass.roughness_rad) and glass.specular != steel.specular
+    )
     plain = sg.Body("plate", box)
     assert (plain.reflectivity, plain.specular, plain.roughness_rad, plain.material) == (0.5, 0.0, 0.1, None)
     with pytest.raises(sg.Error, match=r"body 'plate': reflectivity must have shape .* one for each face"):

@@ -168,6 +168,13 @@ def test_poses_follow_the_simulation():
     assert sg.mujoco_poses(scene.without("body_2"), data) == {}
 
 
+def test_a_mocap_body_is_where_a_simulation_has_placed_it():
+    data = mujoco.MjData(model_of("<body name='gate' mocap='true'><geom type='box' size='1 .1 .2'/></body>"))
+    data.mocap_pos[0], data.mocap_quat[0] = (2, 3, 4), (np.cos(0.25), 0, 0, np.sin(0.25))
+    (body,) = load(data)[0].bodies
+    np.testing.assert_allclose(body.pose, pose(2, 3, 4, yaw=0.5), rtol=0, atol=ROUNDING)
+
+
 def test_further_sonars_are_named():
     sites = "<site name='sonar' pos='0 0 1'/><site name='aft' pos='-1 0 0' euler='0 0 .5'/>"
     camera = "<camera name='aft' pos='9 9 9'/><camera name='down' pos='0 0 -1' euler='0 0 0'/>"

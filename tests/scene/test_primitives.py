@@ -17,6 +17,7 @@ SOLIDS = {
     "box": (meshes.box((1.0, 2.0, 3.0)), 6.0, (1, 2, 3)),
     "cylinder": (meshes.cylinder(1.0, 2.0), 2 * np.pi, (2, 2, 2)),
     "sphere": (meshes.sphere(2.0), 32 / 3 * np.pi, (4, 4, 4)),
+    "cone": (meshes.cone(1.0, 2.0), 2 / 3 * np.pi, (2, 2, 2)),
     "capsule": (meshes.capsule(1.0, 2.0), 2 * np.pi + 4 / 3 * np.pi, (2, 2, 4)),
     "ellipsoid": (meshes.ellipsoid((1.0, 2.0, 3.0)), 8 * np.pi, (2, 4, 6)),
 }
@@ -45,6 +46,25 @@ def test_a_tiny_solid_far_from_the_origin_of_its_mesh_is_closed():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert meshes.closedness(np.add(pebble.vertices, [5e5, 5e6, 0]), pebble.faces) == 1
+
+
+def test_an_edge_of_four_faces_closes_no_mesh_and_keeps_its_ends():
+    """Two tetrahedra that touch along the edge from vertex 0 to 1."""
+    points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], float)
+    one, other = ([(a, b, c), (b, a, d), (c, b, d), (a, c, d)] for a, b, c, d in ((1, 0, 2, 3), (1, 0, 4, 5)))
+    assert [meshes.closedness(points, np.array(faces)) for faces in (one, other, one + other)] == [1, 1, 0]
+    fixed = meshes.fixed_vertices(np.array(one + other), len(points))
+    np.testing.assert_array_equal(fixed, [True, True, False, False, False, False])
+
+
+def test_a_trimesh_that_is_changed_in_place_leaves_the_triangles_it_was_made_of():
+    mesh = meshes.box((1, 1, 1)).mesh
+    before = mesh.vertices.copy(), mesh.faces.copy()
+    changed = mesh.to_trimesh()
+    changed.vertices += 1.0
+    changed.faces[:] = 0
+    np.testing.assert_array_equal(mesh.vertices, before[0])
+    np.testing.assert_array_equal(mesh.faces, before[1])
 
 
 @pytest.mark.parametrize("radius", [0.02, 0.11, 0.5, 1.2, 5.0])

@@ -1096,6 +1096,14 @@ def test_invisible_visuals_are_left_out(tmp_path, transparency, is_left_out):
     )
 
 
+def test_an_invisible_visual_with_which_things_collide_is_no_mark(tmp_path):
+    """Its link has the echo of its visuals, as one of them says how it echoes and the collision does not."""
+    seen = visual("v").replace("</visual>", f"{RETRO}</visual>")
+    unseen = visual("w", z=1.0).replace("</visual>", "<transparency>1</transparency></visual>")
+    scene, _ = read_wet(tmp_path, model(link(shape=shape() + seen + unseen)))
+    assert scene.bodies[0].surface.vertices[:, 2].max() == pytest.approx(1.05, rel=ROUNDING)
+
+
 @pytest.mark.parametrize(
     ("name", "inside"),
     [
@@ -1391,6 +1399,11 @@ def test_deep_nesting_and_bombs_of_includes(tmp_path, message, monkeypatch):
             model(link(shape=SHAPE.replace("2 4 6", "2 -4 6"))),
             "world/model[m]/link[link]/collision[c]/geometry/box/size: "
             "must be 3 finite positive numbers (got '2 -4 6')",
+        ),
+        (
+            model(link(shape=shape(geometry="<geometry><sphere><radius>0</radius></sphere></geometry>"))),
+            "world/model[m]/link[link]/collision[c]/geometry/sphere/radius: "
+            "must be 1 finite positive number (got '0')",
         ),
         (
             model(link(shape=shape(geometry="<geometry><sphere><radius/></sphere></geometry>"))),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
-
 from sonar_gl.core.errors import Error
 from sonar_gl.scene.sdf.extensions import list_extensions
 from sonar_gl.scene.sdf.frames import OF_ORIGIN, read_numbers
@@ -138,13 +136,12 @@ def _add_shape(link, shape, location: str) -> None:
 
 def _add_properties(link, block) -> None:
     """Add what a `<gazebo reference="link">` says of a link and its surfaces."""
-    for sensor in block.findall("sensor"):
-        link.append(deepcopy(sensor))
+    link.extend(block.findall("sensor"))
     surface = [("laser_retro", child) for child in block if child.tag in RETRO]
     surface += [(child.tag, child) for child in list_extensions(block)]
     for tag, child in surface:
         if tag.endswith("}bubbles"):
-            link.append(deepcopy(child))
+            link.append(child)
             continue
         for shape in link.findall("collision") + link.findall("visual"):
             _add(shape, tag, child.text)
