@@ -40,6 +40,7 @@ from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import BIN_LABELS, Ping
 from sonar_gl.raster.level_of_detail import MIN_FACES_TO_SIMPLIFY, make_levels
+from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.primitives import terrain
 from sonar_gl.scene.scene import Body, Scene
@@ -206,6 +207,7 @@ def _work_without_opengl():
     with suppress(ModuleNotFoundError):  # the extra `batch` is not installed, or only parts of it
         cli.warm_up_batch.encode_layers(ping)
     _make_levels()
+    _list_draws()
     if find_spec("embreex"):
         reference_ping(_scene(), SONAR, POSE, Acoustics.ideal(), 0.5, 1_000_000)
 
@@ -284,6 +286,12 @@ def _make_levels():
     n = math.isqrt(MIN_FACES_TO_SIMPLIFY // 2) + 2
     floor = terrain(np.zeros((n, n)), (1.0, 1.0)).mesh
     make_levels(floor.vertices, floor.faces)
+
+
+def _list_draws():
+    """List draws of OpenGL, which the engine `cpu` does without, and a simulator in a host's context does not."""
+    one = np.zeros(1, np.int64)
+    draw_patches(np.zeros((1, 2), np.int32), one, one, one, 0, DrawList().reserve(1))
 
 
 def main():
