@@ -100,7 +100,8 @@ class _Upcoming:
     def take(self, most: int, can_choose: bool) -> _Batch:
         """Take the next pings that can be drawn at once, `most` of them or as many as BATCH_SAMPLES allow.
 
-        A ping has to wait if its error is to be estimated, or if it follows one that is still to choose its samples.
+        A ping has to wait if its error, or that of its multipath, is to be estimated, or if it follows one that is
+        still to choose its samples.
         So has one whose samples are chosen from it alone, unless a thread can do that. If its request asks for it, none
         can: its image sources, too, depend on no other ping.
         """
