@@ -31,9 +31,8 @@ from sonar_gl.core.compiled import as_table, inlined, uncounted
 # The share of a bin up to which the ramps at both ends of a footprint are neglected. Those of neighbouring rows overlap
 # and add up to the same; those of joined rows do not, as on a wall that the sonar sees at an angle.
 SHORT_RAMP, SHORT_RAMP_OF_JOINED = 1 / 4, 1 / 8
-LEAST_WIDTH = (
-    1e-9  # of s: of footprints that end at the range of their body, which an edge of bins may cut, too
-)
+# Of s. A footprint that ends where its body does may have none, and an edge of bins may lie there.
+LEAST_WIDTH = 1e-9
 
 
 @uncounted
