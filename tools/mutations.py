@@ -1590,6 +1590,12 @@ MUTATIONS = (
         ("test_page_messages",),
     ),
     Mutation(
+        "live/welcome of a browser that has gone",
+        "if client.client_id not in self.server.get_clients():",
+        "if False:",
+        ("test_page_messages::test_a_browser_that_has_gone_before_its_turn_is_passed_over",),
+    ),
+    Mutation(
         "live/pointer at a selected body", "node.remove_click_callback()", "pass", ("test_page_messages",)
     ),
     Mutation(

@@ -259,6 +259,28 @@ def test_clicks_before_a_connection_that_was_lost_are_not_done_again(session, pa
     assert page.marked is None
 
 
+def test_a_browser_that_has_gone_before_its_turn_is_passed_over(session, page, browser, monkeypatch, recwarn):
+    """viser warns of what is sent to it, of which a user can do nothing."""
+    is_inside, may_go_on = threading.Event(), threading.Event()
+
+    def wait(_pose):
+        is_inside.set()
+        assert may_go_on.wait(WAIT_S)
+
+    monkeypatch.setattr(session, "set_pose", wait)
+    browser.drag("/move_sonar", *ELSEWHERE)
+    assert is_inside.wait(WAIT_S)
+    with connected(page.url):
+        wait_until(lambda: len(page.server.get_clients()) == 2)
+    wait_until(lambda: len(page.server.get_clients()) == 1)
+    may_go_on.set()
+    with connected(page.url) as last:  # welcomed after what had waited
+        wait_until(lambda: "speed, m/s" in last.uuids)
+        browser.change("speed, m/s", 3.0)
+        wait_until(lambda: last.shown("speed, m/s") == 3.0)
+    assert [str(one.message) for one in recwarn] == []
+
+
 # ---- what the page reads ------------------------------------------------------------------------------------
 
 

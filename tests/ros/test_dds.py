@@ -518,6 +518,19 @@ def test_a_reader_that_stalls_stalls_nobody(open_transport, domain, name):
         wait_until(lambda: json.loads(peer.stdout.readline())["header"]["stamp"]["sec"] == last)
 
 
+@pytest.mark.slow
+def test_a_program_that_stood_still_beyond_its_lease_is_found_again(open_transport, domain, name):
+    topic, transport = topic_of(name), open_transport()
+    with cyclone_reader(domain, name, topic.msgtype, 1000) as peer:
+        with published_meanwhile(transport, topic, header_bytes(100)):
+            wait_until(lambda: '"sec": 100' in peer.stdout.readline())
+        peer.send_signal(signal.SIGSTOP)
+        time.sleep(12.0)  # the lease of Cyclone DDS is 10 s
+        peer.send_signal(signal.SIGCONT)
+        with published_meanwhile(transport, topic, header_bytes(200)):
+            wait_until(lambda: '"sec": 200' in peer.stdout.readline())
+
+
 def test_a_function_that_fails_does_not_end_the_others(open_transport, name, caplog):
     topics = [topic_of(f"{name}_{number}") for number in range(2)]
     transport, other, arrived = open_transport(), open_transport(), []

@@ -148,6 +148,8 @@ class ViewerPage:
                 )
 
     def _welcome(self, client) -> None:
+        if client.client_id not in self.server.get_clients():  # it has gone before its turn; viser would warn
+            return
         if self._listener is None:
             self._listener = self._session.listen(self._take)
         self._nodes.look_from_behind(client.camera, self._session.pose)
