@@ -256,6 +256,27 @@ def transform(shape: Shape, matrix) -> Shape:
     return make_shape(mesh.vertices @ linear.T + np.asarray(matrix)[:3, 3], faces, normals)
 
 
+def rotation_and_stretch(linear) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotation, (3, 3), and what is to be done before it, of a linear (3, 3) transform: linear = R S.
+
+    S is symmetric where there is no mirroring; a mirrored transform has S mirrored in x.
+
+    >>> rotation, stretch = rotation_and_stretch([[0, -2, 0], [2, 0, 0], [0, 0, 2]])
+    >>> rotation.round(9) + 0.0, stretch.round(9) + 0.0
+    (array([[ 0., -1.,  0.],
+           [ 1.,  0.,  0.],
+           [ 0.,  0.,  1.]]), array([[2., 0., 0.],
+           [0., 2., 0.],
+           [0., 0., 2.]]))
+    """
+    left, scales, right = np.linalg.svd(np.asarray(linear, np.float64))
+    rotation, stretch = left @ right, (right.T * scales) @ right
+    if np.linalg.det(rotation) < 0:
+        mirror = np.diag([-1.0, 1.0, 1.0])
+        rotation, stretch = rotation @ mirror, mirror @ stretch
+    return rotation, stretch
+
+
 def concatenate(shapes) -> Shape:
     """Return one shape from several; vertices are not merged, so that creases stay."""
     meshes, normals = zip(*shapes, strict=True)
