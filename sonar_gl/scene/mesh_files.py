@@ -20,7 +20,7 @@ from sonar_gl.scene.gltf_accessors import check_geometry
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
 from sonar_gl.scene.obj_text import tidy_obj
-from sonar_gl.scene.ply_faces import tidy_ply
+from sonar_gl.scene.ply_faces import has_doubles, tidy_ply
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
 
 # What positions may be rounded by before there is a warning, metres: about the finest bins of an imaging sonar
@@ -241,7 +241,9 @@ def _shape_of(mesh, key: str, path: Path) -> tuple[Shape, float]:
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise Error(f"{path}: faces must name vertices that exist (not so in geometry {key!r})")
     shape = make_shape(mesh.vertices, mesh.faces, normals)
-    return shape, 0.0 if path.suffix.lower() in DECIMAL_SUFFIXES else _step(shape.mesh.vertices)
+    suffix = path.suffix.lower()
+    is_double = suffix in DECIMAL_SUFFIXES or (suffix == ".ply" and has_doubles(path))
+    return shape, 0.0 if is_double else _step(shape.mesh.vertices)
 
 
 def _step(vertices: np.ndarray) -> float:

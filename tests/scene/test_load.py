@@ -242,6 +242,23 @@ def test_whole_metres_of_a_file_of_decimals_are_not_taken_as_rounded(tmp_path):
     assert load_scene(path).bodies[0].mesh.bounds[1].tolist() == [500_001, 4_500_001, -9]
 
 
+@pytest.mark.filterwarnings("ignore:.*reflectivity", "error:.*rounded")
+@pytest.mark.parametrize("kind", ["double", "float64"])
+def test_a_ply_of_doubles_is_not_taken_as_rounded(tmp_path, kind):
+    """Cells of a raster in UTM are whole multiples of half a metre, and heights of a GeoTIFF have single precision."""
+    heights = np.float32([-40.1, -40.2, -40.3]).astype(np.float64)
+    corners = np.column_stack([[500_000, 500_000.5, 500_000], [4_500_000, 4_500_000, 4_500_000.5], heights])
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 3\n" + "".join(
+        f"property {kind} {axis}\n" for axis in "xyz"
+    )
+    header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    path = tmp_path / "a.ply"
+    path.write_bytes(
+        header.encode() + corners.astype("<f8").tobytes() + b"\3" + np.arange(3, dtype="<i4").tobytes()
+    )
+    np.testing.assert_array_equal(load_scene(path).bodies[0].mesh.vertices, corners)
+
+
 @pytest.mark.filterwarnings("ignore:.*reflectivity")
 @pytest.mark.parametrize("end", ["# last", "#2 4 3"])
 def test_comments_after_the_numbers_of_an_obj(tmp_path, end):
