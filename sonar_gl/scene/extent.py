@@ -127,8 +127,8 @@ def other_unit_text(scene: Scene) -> str:
     if size_m.max() < LONG_M or size_m.min() < HIGH_M:
         return ""
     return (
-        f"the scene measures {size_text(size_m)}: if it was made in centimetres or millimetres, scale it by 0.01 or 0.001 "
-        "(<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
+        f"the scene measures {size_text(size_m)}: if it was made in centimetres or millimetres, scale it by 0.01 "
+        "or 0.001 (<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
     )
 
 

@@ -190,9 +190,7 @@ def _shapes_and_poses(parts, z_up: np.ndarray) -> Iterator[tuple[Shape, np.ndarr
         if (part.geometry, size) not in stretched:
             matrix = np.eye(4)
             matrix[:3, :3] = stretch
-            made = stretched[part.geometry, size] = transform(shape, matrix)
-            if made.normals is not None:  # so that bodies need no copies of their own
-                made.normals.flags.writeable = False
+            stretched[part.geometry, size] = transform(shape, matrix)
         yield stretched[part.geometry, size], pose
 
 

@@ -244,7 +244,12 @@ def terrain(heights, size, pos=(0.0, 0.0, 0.0)) -> Shape:
 
 
 def transform(shape: Shape, matrix) -> Shape:
-    """Return the shape under an affine (4, 4) matrix; mirroring reverses the faces: outside stays outside."""
+    """Return the shape under an affine (4, 4) matrix; mirroring reverses the faces: outside stays outside.
+
+    Under the identity it is the same object, whose mesh bodies then share.
+    """
+    if np.array_equal(matrix, np.eye(4)):
+        return shape
     mesh, normals = shape
     linear = np.asarray(matrix)[:3, :3]
     mirrored = np.linalg.det(linear) < 0
@@ -289,6 +294,7 @@ def concatenate(shapes) -> Shape:
                 for m, n in zip(meshes, normals, strict=True)
             ]
         )
+        joined.flags.writeable = False  # as in `_unit_normals`
     faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)])
     return make_shape(np.concatenate([m.vertices for m in meshes]), faces)._replace(normals=joined)
 
@@ -302,6 +308,7 @@ def _unit_normals(normals):
         return None
     out = np.zeros(normals.shape, np.float32)
     out[good] = normals[good] / length[good, None]
+    out.flags.writeable = False  # bodies that share a shape then share its normals, too
     return out
 
 
