@@ -1379,6 +1379,24 @@ MUTATIONS = (
         "visuals if not collisions else collisions",
         SDF,
     ),
+    Mutation(
+        "sdf/meshes of other sizes are one",
+        "self._meshes[key], (*key, *scale)",
+        "self._meshes[key], key",
+        ("test_sdf::test_models_of_one_mesh_share_it",),
+    ),
+    Mutation(
+        "load/copies of other sizes are one",
+        "size = tuple(np.round(stretch * (reach_m / SAME_SIZE_M)).flat)",
+        "size = ()",
+        ("test_load::test_copies_in_a_mesh_file_of_one_size_share_their_mesh",),
+    ),
+    Mutation(
+        "load/mirrored copies are turned",
+        "rotation @ mirror, mirror @ stretch",
+        "rotation @ mirror, stretch",
+        ("test_load::test_copies_in_a_mesh_file_of_one_size_share_their_mesh",),
+    ),
     Mutation("sdf/newest version", "max(names, key=lambda n: n[0])", "min(names, key=lambda n: n[0])", SDF),
     Mutation(
         "sdf/order of the sonar's signs",

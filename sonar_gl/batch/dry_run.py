@@ -14,7 +14,7 @@ from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.survey import HardView, SeenClasses
 from sonar_gl.core.poses import pose_numbers
-from sonar_gl.scene.extent import millimetres_text
+from sonar_gl.scene.extent import other_unit_text
 from sonar_gl.scene.scene import Scene
 
 # of each scene and sonar, a dry run names so many
@@ -48,7 +48,7 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
             lines += _views_text(size, [view for view in views if view.sonar == name], requests)
             lines += [_seen_text(one) for one in tried.seen if (one.scene, one.sonar) == (scene, name)]
-        if text := millimetres_text(requests.scene(scene)):
+        if text := other_unit_text(requests.scene(scene)):
             report(f"warning: {job.scenes[scene]}: {text}")
     parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
     lines.append(f"{n} pings in {parts}")

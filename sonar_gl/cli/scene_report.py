@@ -14,7 +14,7 @@ from sonar_gl.scene.extent import (
     body_bounds,
     bounds_of,
     is_infinite,
-    millimetres_text,
+    other_unit_text,
     place_texts,
     size_text,
 )
@@ -35,7 +35,7 @@ def scene_report(scene_name: str, options) -> str:
         warnings.simplefilter("always", UserWarning)
         scene = scene_from(scene_name, options)
     messages = [str(one.message) for one in caught]
-    messages += filter(None, [millimetres_text(scene)])
+    messages += filter(None, [other_unit_text(scene)])
     if scene.sonar_pose is not None:
         poses, present = [body.pose for body in scene.bodies], np.ones(len(scene.bodies), bool)
         messages += place_texts(scene, poses, present, scene.sonar_pose)

@@ -15,8 +15,15 @@ from sonar_gl.core.errors import Error, nearest_names, nearest_of_many
 NO_NUMBERS = {"S": "text", "U": "text", "T": "text", "c": "complex numbers", "M": "dates", "m": "durations"}
 
 
+def _is_read_only(array) -> bool:
+    """Return whether an array owns what it holds, in C order, and nobody writes into it."""
+    if type(array) is not np.ndarray or array.base is not None:
+        return False
+    return array.flags.c_contiguous and not array.flags.writeable
+
+
 def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.ndarray:
-    """Return a read-only, finite, contiguous copy of `array`.
+    """Return a read-only, finite, contiguous copy of `array`, or itself if it is such an array of its own.
 
     Parameters
     ----------
@@ -32,7 +39,7 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
         if the shape differs, or a value is not a finite number: text is none, nor what a mask hides.
     """
     try:
-        out = np.array(array, order="C")
+        out = array if _is_read_only(array) else np.array(array, order="C")
         got = _other_contents(out)
         if got is not None:
             raise Error(f"{what} must be an array of numbers (got {got}: {shown(array)})")

@@ -39,9 +39,12 @@ def _used_vertices(surface) -> np.ndarray:
     return np.asarray(surface.vertices, np.float64)[used]
 
 
-def _area_m2(surface) -> float:
+def _silhouette_m2(surface) -> float:
+    """Return half of the area of a surface, which its silhouette does not exceed; infinite for one of many faces."""
+    if len(surface.faces) > MAX_FACES:
+        return np.inf
     a, b, c = np.asarray(surface.vertices, np.float64)[np.asarray(surface.faces).T]
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 4)
 
 
 def glint_share(surface, roughness_rad: float) -> float:
@@ -143,7 +146,9 @@ class _Extents(NamedTuple):
 
 def _extents(bodies, specular: bool) -> _Extents:
     surfaces = [body.surface for body in bodies]
-    spheres = [sphere_about(_used_vertices(surface)) for surface in surfaces]
+    different = {id(surface): surface for surface in surfaces}  # bodies may share one
+    measured = {key: (sphere_about(_used_vertices(s)), _silhouette_m2(s)) for key, s in different.items()}
+    spheres, silhouettes_m2 = zip(*(measured[id(s)] for s in surfaces), strict=True) if surfaces else ((), ())
     radii_m = np.array([sphere.radius_m for sphere in spheres])
     lobes = [
         specular_lobe(cos_of_greatest_lobe(body.roughness_rad), body.specular * specular, body.roughness_rad)
@@ -153,12 +158,10 @@ def _extents(bodies, specular: bool) -> _Extents:
         glint_share(surface, body.roughness_rad) if specular and body.specular > 0 else 1.0
         for surface, body in zip(surfaces, bodies, strict=True)
     ]
-    # the silhouette of a surface is half of its area at most, and inside that of its sphere
-    silhouettes = [_area_m2(s) / 2 if len(s.faces) <= MAX_FACES else np.inf for s in surfaces]
     return _Extents(
         np.array([sphere.centre for sphere in spheres]).reshape(-1, 3),
         radii_m,
-        np.minimum(np.pi * radii_m**2, silhouettes),
+        np.minimum(np.pi * radii_m**2, silhouettes_m2),  # inside that of the sphere
         np.array(lobes),
         np.array(shares),
         np.array([np.ndim(body.reflectivity) > 0 for body in bodies], bool),

@@ -9,7 +9,7 @@ import numpy as np
 
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.engine.instrument import Instrument
-from sonar_gl.scene.extent import millimetres_text
+from sonar_gl.scene.extent import other_unit_text
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import SURFACE_MARGIN_M
@@ -72,7 +72,7 @@ def _length(length_m: float) -> str:
 
 def _scale_hint(scene: Scene) -> str:
     """Return the size of a scene that is suspiciously large, and how to scale it; else ""."""
-    text = millimetres_text(scene)
+    text = other_unit_text(scene)
     return f"; {text}" if text else ""
 
 

@@ -118,7 +118,7 @@ def inside_text(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, 
     )
 
 
-def millimetres_text(scene: Scene) -> str:
+def other_unit_text(scene: Scene) -> str:
     """Return the warning of a scene that is too large for imaging sonars in all directions, and its cure; else ""."""
     bounds = bounds_of(scene.bodies)
     if bounds is None:
@@ -127,8 +127,8 @@ def millimetres_text(scene: Scene) -> str:
     if size_m.max() < LONG_M or size_m.min() < HIGH_M:
         return ""
     return (
-        f"the scene measures {size_text(size_m)}: if it was made in millimetres, scale it by 0.001 "
-        "(<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
+        f"the scene measures {size_text(size_m)}: if it was made in centimetres or millimetres, scale it by 0.01 "
+        "or 0.001 (<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
     )
 
 

@@ -20,7 +20,7 @@ from sonar_gl.scene.gltf_accessors import check_geometry
 from sonar_gl.scene.image_files import read_image_file
 from sonar_gl.scene.mesh_buffers import MeshBuffers, NoFiles
 from sonar_gl.scene.obj_text import tidy_obj
-from sonar_gl.scene.ply_faces import tidy_ply
+from sonar_gl.scene.ply_faces import has_doubles, tidy_ply
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, terrain, transform
 
 # What positions may be rounded by before there is a warning, metres: about the finest bins of an imaging sonar
@@ -37,14 +37,18 @@ Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0
 
 
 class MeshPart(NamedTuple):
-    """A placed geometry of a mesh file: the names of its node and geometry, and its shape, metres.
+    """A placed geometry of a mesh file: the names of its node and geometry, its shape, and where that is, metres.
 
-    Nodes of several parts, in glTF, have one name.
+    Nodes of several parts, in glTF, have one name. Nodes of one geometry share its shape.
+
+    shape : in the axes of the geometry
+    matrix : (4, 4) affine, to the axes of the file
     """
 
     node: str
     geometry: str
     shape: Shape
+    matrix: np.ndarray
 
 
 def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
@@ -99,7 +103,7 @@ def _elevations(path, values: np.ndarray, size_z_m: float) -> np.ndarray:
 
 
 def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
-    """Read every placed geometry of a mesh file, in the file's own axes and in metres.
+    """Read every placed geometry of a mesh file, in metres.
 
     Only normals that the file itself holds are used. COLLADA's `<unit meter>` is applied and its `<up_axis>`
     is not, as in Gazebo. Degenerate, duplicate, inverted and open triangles stay as they are.
@@ -196,29 +200,19 @@ def _first_line(why: Exception | str) -> str:
 
 def _read_parts(scene, path: Path) -> list[MeshPart]:
     """Return the placed geometries of a trimesh.Scene that was read from a file; warn of positions that are rounded."""
-    parts, step_m = [], 0.0
+    parts, shapes, step_m = [], {}, 0.0
     for node in scene.graph.nodes_geometry:
         matrix, key = scene.graph[node]
         mesh = scene.geometry[key]
         if len(getattr(mesh, "faces", ())) == 0:  # points and lines
             continue
-        # `vertex_normals` computes missing normals; before it is read, only those of the file are in the
-        # cache
-        normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
-        if mesh.vertices.ndim != 2 or mesh.vertices.shape[1] != 3:
-            raise Error(
-                f"{path}: vertices must have x, y and z (got {mesh.vertices.shape} in geometry {key!r})"
-            )
-        if not np.isfinite(mesh.vertices).all():
-            raise Error(f"{path}: vertices must be finite (got NaN or infinity in geometry {key!r})")
-        if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-            raise Error(f"{path}: faces must name vertices that exist (not so in geometry {key!r})")
+        if key not in shapes:
+            shapes[key] = _shape_of(mesh, key, path)
         units = str(mesh.metadata.get("units", "")).split(" * ")
         scale = np.diag([float(units[0])] * 3 + [1.0]) if len(units) == 2 else np.eye(4)
-        shape, placed = make_shape(mesh.vertices, mesh.faces, normals), scale @ matrix
-        if path.suffix.lower() not in DECIMAL_SUFFIXES:
-            step_m = max(step_m, _step(shape.mesh.vertices) * float(np.abs(placed[:3, :3]).max()))
-        parts.append(MeshPart(_name_in_file(scene, node, mesh), key, transform(shape, placed)))
+        shape, step = shapes[key]
+        step_m = max(step_m, step * float(np.abs((scale @ matrix)[:3, :3]).max()))
+        parts.append(MeshPart(_name_in_file(scene, node, mesh), key, shape, scale @ matrix))
     if not parts:
         raise Error(
             f"{path}: a mesh must have at least one face (got none: the file is cut short, or a point cloud)"
@@ -230,6 +224,26 @@ def _read_parts(scene, path: Path) -> list[MeshPart]:
             "or write an OBJ or a PLY of doubles)"
         )
     return parts
+
+
+def _shape_of(mesh, key: str, path: Path) -> tuple[Shape, float]:
+    """Return the shape of a geometry of a file, and the step to which its positions are rounded; 0 for none."""
+    # `vertex_normals` computes missing normals; before it is read, only those of the file are in the cache
+    normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
+    if mesh.vertices.ndim != 2 or mesh.vertices.shape[1] != 3:
+        raise Error(f"{path}: vertices must have x, y and z (got {mesh.vertices.shape} in geometry {key!r})")
+    if not np.isfinite(mesh.vertices).all():
+        n_bad = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
+        raise Error(
+            f"{path}: vertices must be finite (got NaN or infinity in {n_bad} of {len(mesh.vertices)} of geometry "
+            f"{key!r}; fill the gaps, or leave out these vertices and their faces)"
+        )
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise Error(f"{path}: faces must name vertices that exist (not so in geometry {key!r})")
+    shape = make_shape(mesh.vertices, mesh.faces, normals)
+    suffix = path.suffix.lower()
+    is_double = suffix in DECIMAL_SUFFIXES or (suffix == ".ply" and has_doubles(path))
+    return shape, 0.0 if is_double else _step(shape.mesh.vertices)
 
 
 def _step(vertices: np.ndarray) -> float:
@@ -269,16 +283,14 @@ def read_mesh(path, submesh: str | None = None, center: bool = False, roots: Col
     a scene is turned to z-up.
     """
     parts = read_mesh_parts(path, roots)
-    chosen = [part.shape for part in parts if submesh in (None, part.node, part.geometry)]
+    chosen = [part for part in parts if submesh in (None, part.node, part.geometry)]
     if not chosen:  # exporters add prefixes such as "geom-", and change case
         ending = re.compile(rf"(.*[^a-z0-9])?{re.escape(submesh)}", re.IGNORECASE)
-        chosen = [
-            part.shape for part in parts if ending.fullmatch(part.node) or ending.fullmatch(part.geometry)
-        ]
+        chosen = [part for part in parts if ending.fullmatch(part.node) or ending.fullmatch(part.geometry)]
     if not chosen:
         known = ", ".join(sorted(part.node for part in parts))
         raise Error(f"{path}: there is no submesh {submesh!r} (it has {known})")
-    shape = concatenate(chosen)
+    shape = concatenate([transform(part.shape, part.matrix) for part in chosen])
     if center:
         mesh, normals = shape
         used = mesh.vertices[np.unique(mesh.faces)]

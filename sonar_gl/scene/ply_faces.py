@@ -18,7 +18,15 @@ TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4"
 TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"}
 TYPES |= {"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
 HEADER = re.compile(rb"ply\r?\n.*?\nend_header\r?\n", re.DOTALL)
+MAX_HEADER = 65_536  # bytes that are searched for what a header says of positions
 INDICES = "vertex_indices", "vertex_index"
+
+
+def has_doubles(path) -> bool:
+    """Return whether a PLY file states positions in double precision."""
+    with open(path, "rb") as file:
+        header = HEADER.match(file.read(MAX_HEADER))
+    return bool(header and re.search(rb"\nproperty +(double|float64) +x\s", header[0]))
 
 
 def tidy_ply(data: bytes) -> bytes:

@@ -244,7 +244,12 @@ def terrain(heights, size, pos=(0.0, 0.0, 0.0)) -> Shape:
 
 
 def transform(shape: Shape, matrix) -> Shape:
-    """Return the shape under an affine (4, 4) matrix; mirroring reverses the faces: outside stays outside."""
+    """Return the shape under an affine (4, 4) matrix; mirroring reverses the faces: outside stays outside.
+
+    Under the identity it is the same object, whose mesh bodies then share.
+    """
+    if np.array_equal(matrix, np.eye(4)):
+        return shape
     mesh, normals = shape
     linear = np.asarray(matrix)[:3, :3]
     mirrored = np.linalg.det(linear) < 0
@@ -254,6 +259,27 @@ def transform(shape: Shape, matrix) -> Shape:
         cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
         normals = normals @ (-cofactors if mirrored else cofactors).T
     return make_shape(mesh.vertices @ linear.T + np.asarray(matrix)[:3, 3], faces, normals)
+
+
+def rotation_and_stretch(linear) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotation, (3, 3), and what is to be done before it, of a linear (3, 3) transform: linear = R S.
+
+    S is symmetric where there is no mirroring; a mirrored transform has S mirrored in x.
+
+    >>> rotation, stretch = rotation_and_stretch([[0, -2, 0], [2, 0, 0], [0, 0, 2]])
+    >>> rotation.round(9) + 0.0, stretch.round(9) + 0.0
+    (array([[ 0., -1.,  0.],
+           [ 1.,  0.,  0.],
+           [ 0.,  0.,  1.]]), array([[2., 0., 0.],
+           [0., 2., 0.],
+           [0., 0., 2.]]))
+    """
+    left, scales, right = np.linalg.svd(np.asarray(linear, np.float64))
+    rotation, stretch = left @ right, (right.T * scales) @ right
+    if np.linalg.det(rotation) < 0:
+        mirror = np.diag([-1.0, 1.0, 1.0])
+        rotation, stretch = rotation @ mirror, mirror @ stretch
+    return rotation, stretch
 
 
 def concatenate(shapes) -> Shape:
@@ -268,6 +294,7 @@ def concatenate(shapes) -> Shape:
                 for m, n in zip(meshes, normals, strict=True)
             ]
         )
+        joined.flags.writeable = False  # as in `_unit_normals`
     faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)])
     return make_shape(np.concatenate([m.vertices for m in meshes]), faces)._replace(normals=joined)
 
@@ -281,6 +308,7 @@ def _unit_normals(normals):
         return None
     out = np.zeros(normals.shape, np.float32)
     out[good] = normals[good] / length[good, None]
+    out.flags.writeable = False  # bodies that share a shape then share its normals, too
     return out
 
 

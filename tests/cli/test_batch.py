@@ -171,7 +171,7 @@ def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monk
     assert status == 0
     (line,) = [line for line in err.splitlines() if "millimetres" in line]
     assert line.startswith(
-        "warning: tank.sdf: the scene measures 1000 x 200 x 500 m: if it was made in millimetres"
+        "warning: tank.sdf: the scene measures 1000 x 200 x 500 m: if it was made in centimetres or millimetres"
     )
     assert line.removeprefix("warning: tank.sdf: ") in run("doctor", "--scene", "tank.sdf")[1]
 

@@ -559,8 +559,8 @@ def test_a_gltf_that_is_turned_is_told(tmp_path, suffix):
 def test_a_scene_in_millimetres_is_told(tmp_path):
     """A tank of 6 x 4 x 3 m, and a terrain of 2 km, which may well be in metres."""
     told = (
-        "\n  the scene measures 6000 x 4000 x 3000 m: if it was made in millimetres, scale it by 0.001 "
-        "(<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)\n"
+        "\n  the scene measures 6000 x 4000 x 3000 m: if it was made in centimetres or millimetres, scale it by "
+        "0.01 or 0.001 (<scale>0.001 0.001 0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)\n"
     )
     for size, is_told in (((6000, 4000, 3000), True), ((6, 4, 3), False), ((2000, 2000, 90), False)):
         trimesh.creation.box(size).export(tmp_path / "m.stl")

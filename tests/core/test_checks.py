@@ -53,6 +53,22 @@ def test_arrays_of_any_type_of_numbers(dtype):
         assert out.flags.c_contiguous and not out.flags.writeable and not np.shares_memory(out, given)
 
 
+def test_only_an_array_that_nobody_can_change_is_not_copied():
+    """Bodies that share normals are found by them."""
+    mine = np.zeros((2, 3))
+    kept = frozen_array(mine, np.float64, (2, 3), "x")
+    assert not np.shares_memory(kept, mine) and not kept.flags.writeable
+    assert frozen_array(kept, np.float64, (2, 3), "x") is kept
+    view = mine[:]
+    view.flags.writeable = False  # `mine` is not
+    for other in (view, kept.T, kept.astype(np.float32)):
+        assert not np.shares_memory(frozen_array(other, np.float64, (None, None), "x"), other)
+    with pytest.raises(Error, match="finite"):
+        mine[0, 0] = np.nan
+        mine.flags.writeable = False
+        frozen_array(mine, np.float64, (2, 3), "x")
+
+
 @pytest.mark.parametrize("value", [0, 1, 0.5, np.float32(0.5), np.int64(1), np.uint8(0), np.float16(0.25)])
 def test_numbers_within_bounds_become_floats(value):
     out = check_number("x", value, 0, 1)

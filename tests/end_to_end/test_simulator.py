@@ -425,8 +425,8 @@ def test_a_ping_without_an_echo_says_why(bodies, pose, message):
 
 
 MILLIMETRES = (
-    "if it was made in millimetres, scale it by 0.001 (<scale>0.001 0.001 0.001</scale> of a mesh in SDF, "
-    "mesh.apply_scale(0.001) in Python)"
+    "if it was made in centimetres or millimetres, scale it by 0.01 or 0.001 (<scale>0.001 0.001 "
+    "0.001</scale> of a mesh in SDF, mesh.apply_scale(0.001) in Python)"
 )
 
 

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.scene.extent import air_text, body_around, bounds_of, millimetres_text
+from sonar_gl.scene.extent import air_text, body_around, bounds_of, other_unit_text
 from sonar_gl.scene.primitives import INFINITE_PLANE_M, plane
 from tests.support.worlds import terrain
 
@@ -70,7 +70,7 @@ def test_far_from_the_origin_as_in_utm():
     [((500, 100, 100), True), ((499, 200, 200), False), ((3000, 3000, 99), False), ((3000, 99, 3000), False)],
 )
 def test_a_scene_that_is_long_and_high_may_be_in_millimetres(size_m, is_warned):
-    text = millimetres_text(sg.Scene([sg.Body("block", trimesh.creation.box(size_m))]))
+    text = other_unit_text(sg.Scene([sg.Body("block", trimesh.creation.box(size_m))]))
     assert ("if it was made in millimetres" in text) == is_warned
 
 

@@ -242,6 +242,23 @@ def test_whole_metres_of_a_file_of_decimals_are_not_taken_as_rounded(tmp_path):
     assert load_scene(path).bodies[0].mesh.bounds[1].tolist() == [500_001, 4_500_001, -9]
 
 
+@pytest.mark.filterwarnings("ignore:.*reflectivity", "error:.*rounded")
+@pytest.mark.parametrize("kind", ["double", "float64"])
+def test_a_ply_of_doubles_is_not_taken_as_rounded(tmp_path, kind):
+    """Cells of a raster in UTM are whole multiples of half a metre, and heights of a GeoTIFF have single precision."""
+    heights = np.float32([-40.1, -40.2, -40.3]).astype(np.float64)
+    corners = np.column_stack([[500_000, 500_000.5, 500_000], [4_500_000, 4_500_000, 4_500_000.5], heights])
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 3\n" + "".join(
+        f"property {kind} {axis}\n" for axis in "xyz"
+    )
+    header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    path = tmp_path / "a.ply"
+    path.write_bytes(
+        header.encode() + corners.astype("<f8").tobytes() + b"\3" + np.arange(3, dtype="<i4").tobytes()
+    )
+    np.testing.assert_array_equal(load_scene(path).bodies[0].mesh.vertices, corners)
+
+
 @pytest.mark.filterwarnings("ignore:.*reflectivity")
 @pytest.mark.parametrize("end", ["# last", "#2 4 3"])
 def test_comments_after_the_numbers_of_an_obj(tmp_path, end):
@@ -271,6 +288,61 @@ def test_parts_of_a_mesh_file_are_bodies(tmp_path):
     bodies = {body.name: body for body in load_scene(tmp_path / "a.glb").bodies}
     assert set(bodies) == {"left", "right"}
     np.testing.assert_array_equal(bodies["left"].mesh.bounds[:, 0], [-5.5, -4.5])
+
+
+def _gltf_of_copies(path, mesh, matrices: dict):
+    scene = trimesh.Scene()
+    scene.geometry["rock"] = mesh
+    for name, matrix in matrices.items():
+        scene.graph.update(name, geometry="rock", matrix=matrix)
+    scene.export(path, include_normals=True)
+
+
+def _scaled(matrix, *factors):
+    return matrix @ np.diag([*factors, 1.0])
+
+
+def test_copies_in_a_mesh_file_of_one_size_share_their_mesh(tmp_path):
+    """A level of a game has hundreds of copies of a rock: pings keep one mesh of those of one size and handedness."""
+    rock = trimesh.creation.icosphere(1)
+    rock.apply_transform(np.diag([1, 0.5, 0.8, 1]) + np.diag([0.2, 0.1, 0], 1))
+    turned = pose(7, 8, 9, roll=0.3, pitch=-0.4, yaw=2)
+    matrices = {
+        "plain": pose(1, 2, 3),
+        "turned": turned,
+        "large": _scaled(turned, 2, 2, 2),
+        "large_too": _scaled(pose(-5, yaw=1), 2, 2, 2),
+        "mirrored": _scaled(turned, 1, 1, -1),
+        "inverted": _scaled(pose(4), -1, -1, -1),
+        "stretched": _scaled(turned, 1, 2, 3),
+        "flattened": _scaled(turned, 1, 1, 0),
+    }
+    _gltf_of_copies(tmp_path / "a.glb", rock, matrices)
+    bodies = {body.name: body for body in load_scene(tmp_path / "a.glb").bodies}
+    assert set(bodies) == set(matrices)
+    one = {name: (id(body.surface), id(body.normals)) for name, body in bodies.items()}
+    assert one["plain"] == one["turned"] and one["large"] == one["large_too"]
+    assert one["mirrored"] == one["inverted"] and len(set(one.values())) == 5
+    y_up_to_z_up = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    for name, body in bodies.items():
+        expected = y_up_to_z_up @ matrices[name] @ np.c_[rock.vertices, np.ones(len(rock.vertices))].T
+        got = body.pose @ np.c_[body.mesh.vertices, np.ones(len(body.mesh.vertices))].T
+        # positions of glTF are float32, and about 1; its matrices have 64 bits
+        np.testing.assert_allclose(got, expected, rtol=0, atol=4e-7)
+        assert np.allclose(body.pose[:3, :3] @ body.pose[:3, :3].T, np.eye(3), rtol=0, atol=1e-12)
+        if name != "flattened":  # outside stays outside, for faces and for normals
+            assert body.mesh.volume == pytest.approx(
+                rock.volume * abs(np.linalg.det(matrices[name][:3, :3])), 1e-5
+            )
+            facing = np.einsum("ij,ij->i", body.normals, body.mesh.vertices - body.mesh.vertices.mean(axis=0))
+            assert (facing > 0).all()
+
+
+def test_the_only_copy_in_a_mesh_file_is_in_the_axes_of_the_file(tmp_path):
+    _gltf_of_copies(tmp_path / "a.glb", trimesh.creation.box((1, 2, 3)), {"quay": pose(4, 5, 6)})
+    (body,) = load_scene(tmp_path / "a.glb").bodies
+    np.testing.assert_array_equal(body.pose, np.eye(4))
+    np.testing.assert_array_equal(body.mesh.bounds, [[3.5, -7.5, 4], [4.5, -4.5, 6]])
 
 
 # ---- trimesh -----------------------------------------------------------------------------------------

@@ -364,7 +364,8 @@ NO_FACE = "a mesh must have at least one face (got none: the file is cut short, 
         (
             "nan.obj",
             "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
-            "vertices must be finite (got NaN or infinity in geometry 'nan.obj')",
+            "vertices must be finite (got NaN or infinity in 1 of 3 of geometry 'nan.obj'; fill the gaps, or leave out "
+            "these vertices and their faces)",
         ),
     ],
 )

@@ -338,6 +338,32 @@ def test_heightmap_and_scaled_mesh_beside_the_file(tmp_path, read):
     assert box.mesh.volume == pytest.approx(6, rel=ROUNDING)
 
 
+@pytest.mark.parametrize("scale", ["", "<scale>0.5 0.5 0.5</scale>"])
+def test_models_of_one_mesh_share_it(tmp_path, read, scale):
+    """A world of a hundred rocks of one file took the memory and the time of a hundred meshes."""
+    trimesh.creation.icosphere(1).export(tmp_path / "rock.glb", include_normals=True)
+    shape = (
+        f"<collision name='c'><geometry><mesh><uri>rock.glb</uri>{scale}</mesh></geometry>{RETRO}</collision>"
+    )
+    large = (
+        shape.replace(scale, "<scale>2 2 2</scale>")
+        if scale
+        else shape.replace("</uri>", "</uri><scale>2 2 2</scale>")
+    )
+    poses = [f"<pose>{k} 0 0 0 0 {k}</pose>" for k in range(3)]
+    *small, other = read(
+        "".join(model(pose + link(shape=shape), f"rock_{k}") for k, pose in enumerate(poses))
+        + model(link(shape=large), "large")
+    ).bodies
+    assert len({(id(body.surface), id(body.normals)) for body in small}) == 1
+    assert [body.pose[0, 3] for body in small] == [0, 1, 2]
+    size_m = 1 if scale else 2
+    np.testing.assert_allclose(
+        np.ptp(small[0].surface.vertices, axis=0), size_m, rtol=1e-6
+    )  # float32 in the file
+    np.testing.assert_allclose(np.ptp(other.surface.vertices, axis=0), 4, rtol=1e-6)
+
+
 def test_an_elevation_model_keeps_its_heights_and_needs_a_size(tmp_path, read):
     """A world as of gz-sim's tutorial on elevation models: `<size>` z is maximum - minimum, `<pos>` z - maximum."""
     import cv2

@@ -131,7 +131,7 @@ def read_surface_properties(element, location: str) -> SurfaceProperties:
 
 
 class BodyReader:
-    """Makes the bodies of links. Each mesh file is read once.
+    """Makes the bodies of links. Each mesh file is read once; bodies that show it in one size and place share it.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class BodyReader:
         self.unspecified, self.saturated, self.retros = {}, {}, set()
         self.misspelt: list[str] = []
         self.unsized: list[str] = []
-        self._meshes = {}
+        self._meshes, self._sized_meshes = {}, {}
 
     def read(self, link: Link, name: str) -> list[Body]:
         """Return the bodies of a link.
@@ -262,8 +262,10 @@ class BodyReader:
                 location,
                 lambda: mesh_files.read_mesh(path, key[1], key[2] in ("true", "1"), self.resources.roots),
             )
-        mesh = self._meshes[key]
-        return None if mesh is None else primitives.transform(mesh, np.diag([*scale, 1.0]))
+        mesh, sized = self._meshes[key], (*key, *scale)
+        if mesh is not None and sized not in self._sized_meshes:
+            self._sized_meshes[sized] = primitives.transform(mesh, np.diag([*scale, 1.0]))
+        return self._sized_meshes.get(sized)
 
     def _note_misspelt(self, shape, location: str) -> None:
         """Note tags of a shape that are similar to a size of it that is absent; refuse one that is an attribute."""
