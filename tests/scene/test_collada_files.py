@@ -2,11 +2,11 @@
 
 import warnings
 
-import numpy as np
 import pytest
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error
+from sonar_gl.scene.extent import bounds_of
 from sonar_gl.scene.load import load_scene
 
 GEOMETRY = """<geometry id="{name}"><mesh><source id="{name}-p">
@@ -45,10 +45,7 @@ def read(tmp_path):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             bodies = load_scene(path).bodies
-        found = [
-            np.array([body.surface.vertices.min(axis=0), body.surface.vertices.max(axis=0)])
-            for body in bodies
-        ]
+        found = [bounds_of([body]) for body in bodies]
         # libraries warn of what others of them will drop
         own = [str(one.message) for one in caught if one.category is UserWarning]
         *said, last = [text.removeprefix(f"{path}: ") for text in own]

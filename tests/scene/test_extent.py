@@ -71,7 +71,7 @@ def test_far_from_the_origin_as_in_utm():
 )
 def test_a_scene_that_is_long_and_high_may_be_in_millimetres(size_m, is_warned):
     text = other_unit_text(sg.Scene([sg.Body("block", trimesh.creation.box(size_m))]))
-    assert ("if it was made in millimetres" in text) == is_warned
+    assert ("if it was made in centimetres or millimetres" in text) == is_warned
 
 
 def test_only_the_plane_of_a_collision_has_no_bounds():

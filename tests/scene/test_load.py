@@ -287,7 +287,8 @@ def test_parts_of_a_mesh_file_are_bodies(tmp_path):
     scene.export(tmp_path / "a.glb")
     bodies = {body.name: body for body in load_scene(tmp_path / "a.glb").bodies}
     assert set(bodies) == {"left", "right"}
-    np.testing.assert_array_equal(bodies["left"].mesh.bounds[:, 0], [-5.5, -4.5])
+    np.testing.assert_array_equal(bodies["left"].pose, pose(-5))
+    np.testing.assert_array_equal(bodies["left"].mesh.bounds, [[-0.5] * 3, [0.5] * 3])
 
 
 def _gltf_of_copies(path, mesh, matrices: dict):
@@ -338,11 +339,12 @@ def test_copies_in_a_mesh_file_of_one_size_share_their_mesh(tmp_path):
             assert (facing > 0).all()
 
 
-def test_the_only_copy_in_a_mesh_file_is_in_the_axes_of_the_file(tmp_path):
+def test_the_body_of_a_mesh_file_has_the_pose_of_its_node(tmp_path):
+    """So `place` and `bodies=` mean the same of all nodes, whether or not others share their geometry."""
     _gltf_of_copies(tmp_path / "a.glb", trimesh.creation.box((1, 2, 3)), {"quay": pose(4, 5, 6)})
     (body,) = load_scene(tmp_path / "a.glb").bodies
-    np.testing.assert_array_equal(body.pose, np.eye(4))
-    np.testing.assert_array_equal(body.mesh.bounds, [[3.5, -7.5, 4], [4.5, -4.5, 6]])
+    np.testing.assert_array_equal(body.pose, pose(4, -6, 5))
+    np.testing.assert_array_equal(body.mesh.bounds, [[-0.5, -1.5, -1], [0.5, 1.5, 1]])
 
 
 # ---- trimesh -----------------------------------------------------------------------------------------
