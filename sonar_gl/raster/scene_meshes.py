@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.core.grown_array import Room
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.raster.cull import (
     LOBE,
     PER_BODY,
@@ -32,10 +33,12 @@ from sonar_gl.raster.views import (
     Window,
     distance_before_plane,
 )
+from sonar_gl.scene.scene import Body
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import NEAR_M, SURFACE_MARGIN_M
 
 LEVEL_FIELDS = tuple(field.name for field in fields(Levels))
+MANY_FACES = 5_000_000  # whose levels of detail take ten seconds or more
 
 
 class _KnownMesh(NamedTuple):
@@ -116,6 +119,7 @@ class SceneMeshes:
             key = tuple(map(id, made_of))
             known = self._known_mesh(key) or new.get(key)
             if known is None:
+                _warn_of_many_faces(body)
                 one = mesh_with_levels(body)
                 end = n_patches + len(one.levels.skip)
                 box = one.centre, one.bounds, one.extremes, one.closed, (n_patches, end)
@@ -226,3 +230,13 @@ class SceneMeshes:
             places = tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.rows, bodies.outside))
             choose_in_sectors(self._tree, tuple(self.boxes), places, views.geometry, views.limits, out, found)
         return found
+
+
+def _warn_of_many_faces(body: Body) -> None:
+    """Warn of a mesh before a preparation that looks like a hang."""
+    n_faces = len(body.surface.faces)
+    if n_faces > MANY_FACES:
+        warn_caller(
+            f"body {body.name!r} has {n_faces} triangles, whose levels of detail take ten seconds to some minutes, "
+            "and a gigabyte or more, in each process; a mesh of fewer triangles serves where these are smaller than a bin"
+        )

@@ -436,3 +436,19 @@ def test_the_spans_of_bodies_hold_all_of_their_places(mesh, share):
         expected_m = np.linalg.norm(np.maximum(0, np.maximum(low - sonar, sonar - high)))
         assert 1 / nearest == pytest.approx(expected_m, rel=1e-12)
         assert expected_m <= ranges_m.min() * (1 + 1e-12)
+
+
+def test_a_mesh_that_takes_long_to_prepare_is_warned_of(monkeypatch):
+    """Once: another body that has it takes no time."""
+    ball = trimesh.creation.icosphere(2)
+    bodies = [
+        sg.Body("ball", ball),
+        sg.Body("other", ball, sg.pose(3)),
+        sg.Body("box", trimesh.creation.box()),
+    ]
+    monkeypatch.setattr(scene_meshes, "MANY_FACES", 319)
+    with pytest.warns(
+        UserWarning, match=r"^body 'ball' has 320 triangles, whose levels of detail take"
+    ) as found:
+        meshes_of(bodies)
+    assert len(found) == 1
