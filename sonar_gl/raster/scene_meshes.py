@@ -238,5 +238,5 @@ def _warn_of_many_faces(body: Body) -> None:
     if n_faces > MANY_FACES:
         warn_caller(
             f"body {body.name!r} has {n_faces} triangles, whose levels of detail take ten seconds to some minutes, "
-            "and a gigabyte or more, in each process; a mesh of fewer triangles serves where these are smaller than a bin"
+            "and a gigabyte or more, in each process; fewer triangles serve where these are smaller than a bin"
         )
