@@ -468,6 +468,18 @@ MUTATIONS = (
         "elevation_rise[m] = (rise if is_nearer_above else -rise) if strip.are_joined else 0.0",
         LABELS,
     ),
+    Mutation(
+        "labels/highest end of a footprint",
+        "share * min(rise, math.pi / 2 - abs(elevation[m]))",
+        "share * rise",
+        LABELS,
+    ),
+    Mutation(
+        "labels/steepest end of a footprint",
+        "min(b[m] / max(past, LEAST_POWER), incidence[m], below)",
+        "min(b[m] / max(past, LEAST_POWER), incidence[m])",
+        LABELS,
+    ),
     Mutation("labels/incidence", "+ along_v * along_v - towards * towards", "- towards * towards", LABELS),
     Mutation(
         "labels/arctan",

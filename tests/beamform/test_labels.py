@@ -351,6 +351,22 @@ def test_incidence_of_an_oblique_wall():
     np.testing.assert_allclose(got.incidence_rad[lone], np.arccos(10 / got.true_range_m[lone]), atol=0.005)
 
 
+@pytest.mark.parametrize("height_m, tilt_deg, rows", [(1.0, 75, 4), (0.1, 85, 1), (0.1, 60, 8)])
+def test_angles_of_footprints_that_fill_the_aperture_stay_below_a_right_one(height_m, tilt_deg, rows):
+    """Angles are linear within a footprint; by their slope at its middle elevations end at up to 638° here.
+
+    In the last case only incidence exceeds a right angle, by 2°.
+    """
+    sonar = sg.Sonar("high", 900e3, 1, 64, 1.0, 170.0, 1.0, 0.0, 8.0)
+    slope = sg.pose(pitch=math.radians(tilt_deg)) @ sg.pose(z=height_m + 5e-4)
+    ceiling = sg.Body("ceiling", trimesh.creation.box((1000, 1000, 1e-3)), slope, 0.5)
+    found = ping([ceiling], sonar, sampling=sg.Sampling(8, rows))
+    lone = found.body_id > 0
+    assert lone.any()
+    assert np.abs(found.elevation_rad[lone]).max() <= np.float32(math.pi / 2)
+    assert 0 <= found.incidence_rad[lone].min() <= found.incidence_rad[lone].max() <= np.float32(math.pi / 2)
+
+
 @pytest.mark.parametrize("reducer", ["footprint", "point"])
 def test_true_range_is_the_mean_within_the_bin(reducer):
     """The true range is the mean of bins forty times as fine; in partly filled bins it is far from the centre."""

@@ -70,9 +70,10 @@ def find_angles(work, strip):
 
 @inlined
 def _find_rises(work, strip):
-    """Find how elevation and incidence change with s within footprints."""
+    """Find how elevation and incidence change with s within footprints, which end at a right angle at most."""
     rest, along, border, s = work[REST], work[ALONG], work[BORDER], work[S]
-    line_u, tilt, a, b, incidence = work[LINE_U], work[TILT], work[A], work[B], work[INCIDENCE]
+    line_u, tilt, a, b = work[LINE_U], work[TILT], work[A], work[B]
+    elevation, incidence = work[ELEVATION], work[INCIDENCE]
     elevation_rise, incidence_rise = work[ELEVATION_RISE], work[INCIDENCE_RISE]
     for m in range(uint64(strip.first), uint64(whole_groups(strip.first, strip.last))):
         # the plane's vector has the part s along the ray, and this one across it
@@ -80,12 +81,15 @@ def _find_rises(work, strip):
         # by linear regression, if s changes across the strip, too: b² / (a² + b²), over b
         share = b[m] / max(a[m] * a[m] + b[m] * b[m], LEAST_POWER)
         share = share if b[m] > 1e-9 * s[m] else 0.0
-        # cos θ is s over the length of the plane's vector; at normal incidence θ falls to 0 at an end
-        incidence_rise[m] = -share * min(b[m] / max(past, LEAST_POWER), incidence[m])
+        # cos θ is s over the length of the plane's vector; at normal incidence θ falls to 0 at an end. A footprint that
+        # extends past the horizon ends there, at s = 0
+        below = (math.pi / 2 - incidence[m]) * max(1.0, b[m] / max(s[m], LEAST_POWER))
+        incidence_rise[m] = -share * min(b[m] / max(past, LEAST_POWER), incidence[m], below)
         vc, uc = (low + high) / 2, line_u[m] + tilt[m] * (low + high) / 2
         level2 = 1.0 + uc * uc
         length2 = level2 + vc * vc
-        rise = share * (high - low) / 2 * math.sqrt(level2) / length2
+        rise = (high - low) / 2 * math.sqrt(level2) / length2
+        rise = share * min(rise, math.pi / 2 - abs(elevation[m]))
         is_nearer_above = along[m] * length2 > (rest[m] + along[m] * vc) * (vc + uc * tilt[m])
         elevation_rise[m] = rise if is_nearer_above else -rise
 
