@@ -901,6 +901,12 @@ MUTATIONS = (
         ("test_sequence::test_pings_that_nobody_took_change_no_later_one",),
     ),
     Mutation(
+        "planner/pings that fail count",
+        "run.sampler.history = history raise",
+        "raise",
+        ("test_adaptive::TestMoving::test_pings_after_one_that_failed_are_those_without_it",),
+    ),
+    Mutation(
         "weights/too few nodes",
         "GAUSS_NODES = (0.1, 3), (0.25, 4)",
         "GAUSS_NODES = (0.1, 2), (0.25, 3)",

@@ -197,6 +197,17 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
 
+    @contextmanager
+    def choices_kept(self):
+        """Have a block that fails, or is interrupted, leave the choices of samples as they were."""
+        sampler, images = self.sampler, self.image_sampling
+        before = sampler.choice, images.choice
+        try:
+            yield
+        except BaseException:
+            sampler.choice, images.choice = before
+            raise
+
     @property
     def resolution_ahead(self) -> Resolution:
         """The resolution of a ping of a sequence that is made before the pings ahead of it have been reviewed."""
