@@ -232,9 +232,8 @@ class BodiesInput:
                     )
                 _check_world(link.header.frame_id, self._world)
                 came.append((child, _matrix(link.transform.translation, link.transform.rotation)))
-        came.sort(
-            key=lambda one: one[0].count("::")
-        )  # models first: a part that is named itself is where that says
+        # models first: a part that is named itself is where that says
+        came.sort(key=lambda one: one[0].count("::"))
         with self._lock:
             for child, matrix in came:
                 self._moved |= {name: matrix @ at for name, at in self._followers[child].items()}
