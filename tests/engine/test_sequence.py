@@ -413,6 +413,24 @@ def test_a_body_added_during_a_sequence_is_in_later_pings():
         np.testing.assert_array_equal(ping.body_id, expected.body_id)
 
 
+def test_pings_know_the_bodies_of_their_poses_whoever_makes_them(monkeypatch):
+    """Of pings whose poses were taken before a body was added, those that were drawn after it named it."""
+
+    def pings(few_samples):
+        monkeypatch.setattr(sequence, "FEW_SAMPLES", few_samples)
+        with simulator(bodies=BODIES[:2], engine="cpu") as it, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the body that was added
+            for number, ping in enumerate(it.pings(POSES)):
+                yield ping
+                if number == 1:
+                    it.add(BODIES[2])
+
+    by_threads, by_the_caller = list(pings(0)), list(pings(math.inf))
+    for one, other in zip(by_threads, by_the_caller, strict=True):
+        check_same(one, other)
+    assert {len(ping.meta["bodies"]) for ping in by_threads[3:]} == {2, 3}
+
+
 def test_a_body_added_before_a_ping_without_an_echo_is_absent_from_it():
     """Such a ping is drawn again, to find out why, when the scene has more bodies than its request knew."""
     away = sg.pose(yaw=3.0)
