@@ -913,6 +913,30 @@ MUTATIONS = (
         ("test_sequence::test_pings_that_nobody_took_change_no_later_one",),
     ),
     Mutation(
+        "sequence/numbers of later bodies",
+        "return replace(setup, state=state, background",
+        "return replace(setup, state=state, n_bodies=setup.n_bodies + n, background",
+        ("test_sequence::test_pings_know_the_bodies_of_their_poses_whoever_makes_them",),
+    ),
+    Mutation(
+        "ros/models of two steps",
+        "return poses_of_parts(poses, self._parts_of)",
+        "return poses",
+        ("test_publisher::test_a_model_that_is_placed_takes_along_what_a_step_before_has_moved",),
+    ),
+    Mutation(
+        "ros/order within a message",
+        'came.sort(key=lambda one: one[0].count("::"))',
+        "",
+        ("test_message_inputs",),
+    ),
+    Mutation(
+        "planner/pings that fail count",
+        "run.sampler.history = history raise",
+        "raise",
+        ("test_adaptive::TestMoving::test_pings_after_one_that_failed_are_those_without_it",),
+    ),
+    Mutation(
         "weights/too few nodes",
         "GAUSS_NODES = (0.1, 3), (0.25, 4)",
         "GAUSS_NODES = (0.1, 2), (0.25, 3)",

@@ -32,8 +32,8 @@ class PingSetup:
     acoustics : Acoustics in the ping's own water
     gain : (K,) float32 of each bin
     pulse : weights of the matched filter, (n,) float32; None for a pulse shorter than a bin
-    n_bodies : the highest number of a body
-    background : (n_bodies + 1,) bool by number, for shadows; or None
+    n_bodies : the highest number of a body; those that were added to the scene later have none in this ping
+    background : bool by number, from 0 on, for shadows; or None
     surface_z_m : height of the water's surface, metres; None = out of reach
     needs_lobes : the specular lobes are received by themselves, too: speckle spares them
     texture : (n,) reflectivity of bodies in a view that returns the deviation of their texture; None without texture

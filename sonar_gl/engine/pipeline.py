@@ -47,11 +47,19 @@ def make_ping(run: Run, request: PingRequest) -> Ping:
 def sample(run: Run, setup: PingSetup) -> tuple[ReceivedPing, PingReport]:
     """Draw and receive a ping, again and again until its samples keep the tolerance, and report on it.
 
-    Call it inside `Run.drawing`.
+    Call it inside `Run.drawing`. Later pings do not depend on one that fails here.
     """
-    with run.image_sampling.without_plan() if setup.request.alone else nullcontext():
-        received = _sample_until_kept(run, run.with_later_bodies(setup))
-        return received, run.report(received)
+    history = run.sampler.history
+    try:
+        with (
+            run.choices_kept(),
+            run.image_sampling.without_plan() if setup.request.alone else nullcontext(),
+        ):
+            received = _sample_until_kept(run, run.with_later_bodies(setup))
+            return received, run.report(received)
+    except BaseException:
+        run.sampler.history = history
+        raise
 
 
 def draw(

@@ -17,17 +17,11 @@ IMAGE_POSES = 5  # of a planned sequence, that decide how finely image sources a
 def plan(run: Run, requests: Iterable[PingRequest]) -> Plan | None:
     """Choose the samples for all of these pings, and stay with them; if that is broken off, with those before."""
     setups = [run.set_up(request) for request in requests]
-    with run.drawing():
+    with run.drawing(), run.choices_kept():
         setups = [run.with_later_bodies(setup) for setup in setups]
-        sampler, images = run.sampler, run.image_sampling
-        before = sampler.choice, images.choice
-        try:
-            chosen = sampler.fix(setups)
-            if run.image_sources is not None:
-                _fix_images(run, setups)
-        except BaseException:
-            sampler.choice, images.choice = before
-            raise
+        chosen = run.sampler.fix(setups)
+        if run.image_sources is not None:
+            _fix_images(run, setups)
     return chosen
 
 

@@ -187,15 +187,28 @@ class Run:
                 warn_caller(text)
 
     def with_later_bodies(self, setup: PingSetup) -> PingSetup:
-        """Return a setup with the bodies that were added to the scene after it was made, as absent ones."""
-        n_bodies = len(self.world.scene.bodies)
-        n = n_bodies - setup.n_bodies
+        """Return a setup with the bodies that were added to the scene after it was made, as absent ones.
+
+        They have no number in the ping, whose `n_bodies` stays: others of the same scene were drawn before they came.
+        """
+        n = len(self.world.scene.bodies) - len(setup.state.present)
         if not n:
             return setup
         background = None if setup.background is None else np.append(setup.background, np.zeros(n, bool))
         texture = None if setup.texture is None else np.append(setup.texture, np.zeros(n, np.float32))
         state = setup.state.with_absent(n)
-        return replace(setup, state=state, n_bodies=n_bodies, background=background, texture=texture)
+        return replace(setup, state=state, background=background, texture=texture)
+
+    @contextmanager
+    def choices_kept(self):
+        """Have a block that fails, or is interrupted, leave the choices of samples as they were."""
+        sampler, images = self.sampler, self.image_sampling
+        before = sampler.choice, images.choice
+        try:
+            yield
+        except BaseException:
+            sampler.choice, images.choice = before
+            raise
 
     @property
     def resolution_ahead(self) -> Resolution:
@@ -323,7 +336,7 @@ class Run:
             self.image_sampling.warn_if_unmet(echo)
             estimate = estimate if echo is None else max(estimate, self.image_sampling.error_of(echo))
         origin = self.sample_origin()
-        # bodies and plumes that were added after the set-up are not in the ping
+        # bodies and plumes that were added after the set-up are not in the ping, whenever it was drawn
         if setup.n_bodies < len(origin.bodies) or setup.n_plumes < len(origin.plumes):
             known = {"bodies": origin.bodies[: setup.n_bodies], "plumes": origin.plumes[: setup.n_plumes]}
             origin = replace(origin, **known)

@@ -18,8 +18,8 @@ class Sampler(Protocol):
     Attributes
     ----------
     search : LevelSearch, which chooses those of a ping that `is_apart`; None where none is
-    choice : all that checks and plans change, to be put back where a plan is broken off
-    history : all that each ping changes, to be put back where a ping is to be made again
+    choice : all that checks and plans change, to be put back where a plan or a ping is broken off
+    history : all that each ping changes, to be put back where a ping is broken off, or to be made again
     resolution : of the last ping, or of the first to come
     tolerance : that it keeps, or None
     """

@@ -329,9 +329,10 @@ def _finish_first(run: Run, upcoming: _Upcoming, in_flight: deque[_Started]) -> 
             in_flight.clear()
             yield _make_here(run, upcoming)
             return
-        ping = finish(run, *reviewed)
-        first.pings.pop(0)
-        yield ping
+        first.pings.pop(
+            0
+        )  # first: as in single calls, a ping that fails from here on has come out to later ones
+        yield finish(run, *reviewed)
     in_flight.popleft()
 
 
@@ -343,19 +344,20 @@ def _review(
     Return None if its samples were not those that it has to have.
     """
     upcoming.review_size(received)
-    with run.world.unchanged():
-        if run.review_ahead(received, started.choice):
-            return None
-        if received.drawn.resolution.plan is not None:
-            upcoming.follow(started.pings[0], received)
-        if received.total > 0:
+    with run.choices_kept():
+        with run.world.unchanged():
+            if run.review_ahead(received, started.choice):
+                return None
+            if received.drawn.resolution.plan is not None:
+                upcoming.follow(started.pings[0], received)
+            if received.total > 0:
+                return received, run.report(received)
+        # drawn again, since the samples that tell why it has no echo may have been overwritten
+        with run.drawing():
+            setup = run.with_later_bodies(received.drawn.setup)
+            (drawn,) = draw(run.image_sources, [setup], run.resolution_ahead)
+            received = receive(drawn)
             return received, run.report(received)
-    # drawn again, since the samples that tell why it has no echo may have been overwritten
-    with run.drawing():
-        setup = run.with_later_bodies(received.drawn.setup)
-        (drawn,) = draw(run.image_sources, [setup], run.resolution_ahead)
-        received = receive(drawn)
-        return received, run.report(received)
 
 
 def _make_here(run: Run, upcoming: _Upcoming) -> Ping:

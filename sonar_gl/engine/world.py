@@ -22,7 +22,7 @@ from sonar_gl.raster.engine import RasterEngine, make_engine
 from sonar_gl.scene.grown_scene import GrownScene
 from sonar_gl.scene.kept_meshes import KeptMeshes
 from sonar_gl.scene.plume import Bubbles
-from sonar_gl.scene.scene import Body, Scene, check_added
+from sonar_gl.scene.scene import Body, Scene, check_added, poses_of_parts
 from sonar_gl.scene.state import SceneState
 
 IN_USE = (
@@ -230,7 +230,7 @@ class World:
         if not bodies:
             return state, self._plume_poses
         poses, present, plume_poses = state.poses.copy(), state.present.copy(), dict(self._plume_poses)
-        for name, pose in self._of_models(bodies).items():
+        for name, pose in poses_of_parts(bodies, self._parts_of).items():
             if name in plume_poses:
                 plume_poses[name] = (
                     pose if pose is None else check_pose(pose, f"the pose of bubbles {name!r}")
@@ -242,22 +242,9 @@ class World:
                 poses[index] = check_pose(pose, f"the pose of body {name!r}")
         return SceneState(poses, present), plume_poses
 
-    def _of_models(self, bodies: dict) -> dict:
-        """Return the poses of bodies, with those of all that is in it in place of a model.
-
-        A part that is named itself has the pose that is given for it, whatever the order.
-        """
-        out, own = {}, {}
-        for name in sorted(bodies, key=lambda name: str(name).count("::")):  # outer models before inner ones
-            # the scene is not put together for this alone, as after each of many adds
-            pose, parts = bodies[name], self.scene.parts_of(name) if name in self._models else {}
-            if not parts:
-                own[name] = pose
-                continue
-            if pose is not None:
-                pose = check_pose(pose, f"the pose of model {name!r}")
-            out |= {part: pose if pose is None else pose @ at for part, at in parts.items()}
-        return out | own
+    def _parts_of(self, name) -> dict[str, np.ndarray]:
+        """Return `Scene.parts_of`; the scene is not put together for this alone, as after each of many adds."""
+        return self.scene.parts_of(name) if name in self._models else {}
 
     def _index_of(self, name, what: str, plumes=(), models=()) -> int:
         """Return the index of a body by its name.

@@ -223,6 +223,7 @@ class BodiesInput:
 
     def receive(self, data: bytes) -> None:
         """Take a message; what is wrong with one transform leaves the others in force."""
+        came = []
         for child, link in _transforms(data, self._topic, self._refused):
             with self._refused.counting(self._topic):
                 if child not in self._followers:
@@ -230,9 +231,12 @@ class BodiesInput:
                         "no body", f"child frames must be names of bodies (got {shown(child)})"
                     )
                 _check_world(link.header.frame_id, self._world)
-                matrix = _matrix(link.transform.translation, link.transform.rotation)
-                with self._lock:
-                    self._moved |= {name: matrix @ at for name, at in self._followers[child].items()}
+                came.append((child, _matrix(link.transform.translation, link.transform.rotation)))
+        # models first: a part that is named itself is where that says
+        came.sort(key=lambda one: one[0].count("::"))
+        with self._lock:
+            for child, matrix in came:
+                self._moved |= {name: matrix @ at for name, at in self._followers[child].items()}
 
     def take(self) -> dict[str, np.ndarray]:
         """Return the poses that came since the last call, (4, 4) world_from_body by name."""

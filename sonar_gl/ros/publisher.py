@@ -40,7 +40,7 @@ from sonar_gl.ros.ping_schedule import PingSchedule
 from sonar_gl.ros.publisher_settings import POSE_SOURCES, TOPICS, PublisherSettings
 from sonar_gl.ros.static_frames import publish_static
 from sonar_gl.ros.transport import Topic, Transport
-from sonar_gl.scene.scene import Scene
+from sonar_gl.scene.scene import Scene, poses_of_parts
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sonar import Sonar
 
@@ -188,6 +188,7 @@ class Publisher:
         self._in_background, self._work = in_background, None
         self._clock_ns, self._reported_s, self._reported = None, time.monotonic(), PublisherCounts()
         self._is_placed, self._pose, self._moved = False, None, {}
+        self._parts_of = scene.parts_of
         self._empty_models = {model for model in scene.models if not scene.parts_of(model)}
         self._names = {*scene.models, *(thing.name for thing in scene.bodies_and_plumes)} - self._empty_models
         self._is_own_pose, self._are_own_bodies = True, True
@@ -367,10 +368,13 @@ class Publisher:
         for name in bodies:
             if name not in self._names:
                 raise unknown_body_error(name, self._names, models=self._empty_models)
-        return {
+        poses = {
             name: None if pose is None else check_pose(pose, f"the pose of body {name!r}")
             for name, pose in bodies.items()
         }
+        return poses_of_parts(
+            poses, self._parts_of
+        )  # now: a later step moves those with a model that an earlier named
 
     # ---- a ping, in the thread of the simulation -------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -480,3 +480,27 @@ def check_added(things: Sequence[Body | Bubbles], n_bodies: int = 0, names: Cont
             f"a scene holds at most {MAX_BODIES} bodies (got {n_bodies}; join some meshes, or `place` absent bodies "
             "again in place of adding others)"
         )
+
+
+def poses_of_parts(
+    poses: dict[str, np.ndarray | None], parts_of: Callable[[str], dict[str, np.ndarray]]
+) -> dict[str, np.ndarray | None]:
+    """Return poses of bodies and plumes in which all that is in a model has taken its place.
+
+    A part that is named itself has the pose that is given for it, whatever the order.
+
+    Parameters
+    ----------
+    poses : names to (4, 4) world_from_body, or world_from_model, or to None for what is absent
+    parts_of : `Scene.parts_of`
+    """
+    out, own = {}, {}
+    for name in sorted(poses, key=lambda name: str(name).count("::")):  # outer models before inner ones
+        pose, parts = poses[name], parts_of(name)
+        if not parts:
+            own[name] = pose
+            continue
+        if pose is not None:
+            pose = check_pose(pose, f"the pose of model {name!r}")
+        out |= {part: pose if pose is None else pose @ at for part, at in parts.items()}
+    return out | own

@@ -15,7 +15,7 @@ from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer
 from sonar_gl.beamform.received import received_parts
 from sonar_gl.core.errors import SampleLimitError
-from sonar_gl.engine import adaptive, error_model, obstruction
+from sonar_gl.engine import adaptive, error_model, obstruction, pipeline
 from sonar_gl.engine.body_counts import MIN_BODY_SAMPLES, BodyCounts, body_error, count_bodies
 from sonar_gl.engine.body_extents import (
     BodyExtents,
@@ -634,6 +634,27 @@ class TestMoving:
         places = [place for place in dict.fromkeys(places) if place[0] in files]
         results = [result_of(of_wall, at=place)[0] for place in places]
         assert len(places) > 30 and {never, come_out} == set(results)
+
+    @pytest.mark.parametrize("why", [KeyboardInterrupt, MemoryError])
+    def test_pings_after_one_that_failed_are_those_without_it(self, why, monkeypatch):
+        """It counted among those between two checks of the error, so that the next check came a ping too early."""
+        poses = [sg.pose(0.002 * k) for k in range(CHECK_EVERY + 2)]
+
+        def pings(fails_at=None):
+            with sg.Simulator(self.scene(), SONAR, IDEAL, tolerance=0.05, engine="cpu") as simulator:
+                for number, pose in enumerate(poses):
+                    if number == fails_at:
+                        with monkeypatch.context() as patched, pytest.raises(why):
+                            patched.setattr(pipeline, "receive", raising)
+                            simulator.ping(pose)
+                    yield simulator.ping(pose)
+
+        def raising(_):
+            raise why
+
+        for one, other in zip(pings(), pings(fails_at=9), strict=True):
+            np.testing.assert_array_equal(one.intensity, other.intensity)
+            assert one.error_estimate == other.error_estimate
 
     def test_multipath_of_a_ping_far_from_the_last_one_is_the_same_after_any_others(self):
         """Image sources are sampled by the ping alone, too: a strong reflector before would have them finer."""

@@ -239,6 +239,42 @@ def test_pings_that_an_interrupt_kept_from_being_started_leave_no_history(monkey
         check_same(left.ping(after), expected)
 
 
+@pytest.mark.parametrize("fails", ["report", "finish"])
+def test_a_ping_that_fails_as_it_comes_out_leaves_what_it_leaves_in_single_calls(fails, monkeypatch):
+    """Later pings had its samples, but not its place: half of it had come out."""
+    path, after = [sg.pose(), sg.pose(0.02), sg.pose(yaw=0.6), sg.pose(yaw=0.61)], sg.pose(0.01)
+
+    def failing(real):
+        calls = []
+
+        def call(*arguments):
+            calls.append(1)
+            if len(calls) == 3:
+                raise MemoryError
+            return real(*arguments)
+
+        return call
+
+    def pings_after(make):
+        with sg.Simulator(sg.Scene(BODIES), SONAR, sg.Acoustics.ideal(), tolerance=0.02, engine="cpu") as it:
+            with monkeypatch.context() as patched, pytest.raises(MemoryError):
+                if fails == "report":
+                    patched.setattr(Run, "report", failing(Run.report))
+                for module in (pipeline, sequence) if fails == "finish" else ():
+                    patched.setattr(module, "finish", failing(finish))
+                for _ in make(it):
+                    pass
+            history = it.run.sampler.history
+            return history.n_pings, history.last.request.pose.tolist(), it.ping(after)
+
+    finish = pipeline.finish
+    (n, last, one), (n_other, last_other, other) = (
+        pings_after(make) for make in (lambda it: it.pings(path), lambda it: map(it.ping, path))
+    )
+    assert (n, last) == (n_other, last_other)
+    check_same(one, other)
+
+
 def test_a_body_that_appears_later_gets_finer_samples():
     """With a tolerance the samples are those of single pings, from the first ping with the body on."""
     wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(9), 0.3)
@@ -375,6 +411,24 @@ def test_a_body_added_during_a_sequence_is_in_later_pings():
         expected = (before if old[number] else after)[number]
         np.testing.assert_array_equal(ping.intensity, expected.intensity)
         np.testing.assert_array_equal(ping.body_id, expected.body_id)
+
+
+def test_pings_know_the_bodies_of_their_poses_whoever_makes_them(monkeypatch):
+    """Of pings whose poses were taken before a body was added, those that were drawn after it named it."""
+
+    def pings(few_samples):
+        monkeypatch.setattr(sequence, "FEW_SAMPLES", few_samples)
+        with simulator(bodies=BODIES[:2], engine="cpu") as it, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the body that was added
+            for number, ping in enumerate(it.pings(POSES)):
+                yield ping
+                if number == 1:
+                    it.add(BODIES[2])
+
+    by_threads, by_the_caller = list(pings(0)), list(pings(math.inf))
+    for one, other in zip(by_threads, by_the_caller, strict=True):
+        check_same(one, other)
+    assert {len(ping.meta["bodies"]) for ping in by_threads[3:]} == {2, 3}
 
 
 def test_a_body_added_before_a_ping_without_an_echo_is_absent_from_it():

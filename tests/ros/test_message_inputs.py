@@ -177,6 +177,20 @@ def test_all_of_a_model_moves_with_it(refused):
     assert list(bodies.take()) == ["rov::arm"]
 
 
+@pytest.mark.parametrize("names", [("rov", "rov::arm"), ("rov::arm", "rov")])
+def test_a_part_that_a_message_names_beside_its_model_is_where_that_says_in_any_order(refused, names):
+    """As where a program places both at once; the model took along the part that came before it."""
+    scene = Scene(bodies_at("rov::hull", "rov::arm"), models={"rov": np.eye(4)})
+    bodies, places = (
+        BodiesInput("/bodies", scene, "world", refused),
+        {"rov": pose(0, 0, 5), "rov::arm": pose(3)},
+    )
+    bodies.receive(transforms(*(("world", name, places[name]) for name in names)))
+    moved = bodies.take()
+    np.testing.assert_array_equal(moved["rov::hull"], pose(0, 0, 5))
+    np.testing.assert_array_equal(moved["rov::arm"], pose(3))
+
+
 def test_the_clock_gives_each_time_once(refused):
     types, clock = message_types(), ClockInput("/clock", refused)
     assert clock.wait(0.0) is None

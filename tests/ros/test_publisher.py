@@ -510,6 +510,23 @@ def test_bodies_are_moved_by_messages_and_by_the_caller(scene, loopback):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("pings_between", [True, False])
+def test_a_model_that_is_placed_takes_along_what_a_step_before_has_moved(scene, loopback, pings_between):
+    """Whether or not a ping was due between them: otherwise the two were taken as one, in which parts count."""
+    ball, wall = scene.bodies
+    scene = sg.Scene(
+        [replace(ball, name="rov::ball"), wall], scene.sonar_pose, models={"rov": sg.pose(2.5, 1, -2)}
+    )
+    with publisher_of(scene, loopback, rate_hz=10.0) as publisher:
+        publisher.step(0.0)
+        assert (
+            publisher.step(0.1 if pings_between else 0.03, bodies={"rov::ball": AT}).has_pinged
+            == pings_between
+        )
+        publisher.step(0.2, bodies={"rov": sg.pose(2.5, -0.1, -2)})
+    assert seen_balls(loopback, [[2.5, -0.1, -2]])[-1] == [True]
+
+
 def seen_balls(loopback, centres):
     """Return for each point cloud whether it has points of a ball of radius 0.3 m at each of some centres."""
     out = []
