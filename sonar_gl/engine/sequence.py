@@ -329,9 +329,8 @@ def _finish_first(run: Run, upcoming: _Upcoming, in_flight: deque[_Started]) -> 
             in_flight.clear()
             yield _make_here(run, upcoming)
             return
-        first.pings.pop(
-            0
-        )  # first: as in single calls, a ping that fails from here on has come out to later ones
+        # before the ping is finished: as in single calls, one that fails from here on counts for those after it
+        first.pings.pop(0)
         yield finish(run, *reviewed)
     in_flight.popleft()
 

@@ -372,9 +372,8 @@ class Publisher:
             name: None if pose is None else check_pose(pose, f"the pose of body {name!r}")
             for name, pose in bodies.items()
         }
-        return poses_of_parts(
-            poses, self._parts_of
-        )  # now: a later step moves those with a model that an earlier named
+        # now, since a later step may move a model whose part this one moves
+        return poses_of_parts(poses, self._parts_of)
 
     # ---- a ping, in the thread of the simulation -------------------------------------------------------
 
