@@ -516,11 +516,16 @@ def test_sonars_writes_a_sonar_as_a_file(tmp_path):
     assert sg.load_sonar(tmp_path / "mine.toml") == sg.load_sonar("p900-45,receive_taper=hamming")
 
 
-def test_sonars_writes_the_sonar_of_a_scene_as_a_file(tmp_path):
+def scene_with_a_sonar() -> str:
+    """Return an SDF file whose sensor describes a sonar."""
     across = "<samples>64</samples><min_angle>-0.5</min_angle><max_angle>0.5</max_angle>"
     ray = f"<scan><horizontal>{across}</horizontal></scan><range><min>1</min><max>20</max></range>"
     sensor = f'<link name="l"><sensor name="sonar" type="ray"><ray>{ray}</ray></sensor></link>'
-    (tmp_path / "rov.sdf").write_text(SCENE.format(more=f'<model name="rov">{sensor}</model>'))
+    return SCENE.format(more=f'<model name="rov">{sensor}</model>')
+
+
+def test_sonars_writes_the_sonar_of_a_scene_as_a_file(tmp_path):
+    (tmp_path / "rov.sdf").write_text(scene_with_a_sonar())
     status, out, _ = run("sonars", "--scene", tmp_path / "rov.sdf")
     assert status == 0 and out.startswith(
         "# sensor 'sonar' of model 'rov': 57.3 x 20 deg, 64 beams, 1 to 20 m"
@@ -593,8 +598,13 @@ def test_examples_of_the_help_show_something(line):
     x, y, z, *angles = pose_numbers(sg.load_scene("pylon").sonar_pose)
     rows = [f"{n},{x + n},{y},{z},{','.join(map(str, angles))}" for n in range(2)]
     Path("dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
+    Path("world.sdf").write_text(scene_with_a_sonar())
+    line, _, file = line.partition(" > ")
     words = ended(shlex.split(line), 1.0)
     status, out, err = run(*words)
+    if file:
+        Path(file).write_text(out)
+        assert status == 0 and sg.load_sonar(file)
     if words[0] == "view":
         assert status == 0 and "the page is at http://127.0.0.1:" in err
         return
