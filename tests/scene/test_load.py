@@ -2,6 +2,7 @@
 
 import copy
 import importlib.metadata
+import json
 import os
 import pickle
 import subprocess
@@ -345,6 +346,27 @@ def test_the_body_of_a_mesh_file_has_the_pose_of_its_node(tmp_path):
     (body,) = load_scene(tmp_path / "a.glb").bodies
     np.testing.assert_array_equal(body.pose, pose(4, -6, 5))
     np.testing.assert_array_equal(body.mesh.bounds, [[-0.5, -1.5, -1], [0.5, 1.5, 1]])
+
+
+@pytest.mark.filterwarnings("ignore:.*reflectivity")
+def test_nodes_of_a_mesh_file_that_are_not_finite_are_named(tmp_path):
+    """Scales of nested nodes are multiplied, and may overflow."""
+    _gltf_of_copies(tmp_path / "a.gltf", trimesh.creation.box((1, 2, 3)), {"quay": np.eye(4)})
+    content = json.loads((tmp_path / "a.gltf").read_text())
+    scale = {"scale": [1e200, 1, 1]}
+    content |= {
+        "nodes": [{"children": [1]} | scale, {"name": "quay", "mesh": 0} | scale],
+        "scenes": [{"nodes": [0]}],
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    with pytest.raises(Error, match=r"a.gltf: nodes must have finite transforms \(got .* in node 'quay'"):
+        load_scene(tmp_path / "a.gltf")
+    (tmp_path / "a.sdf").write_text(
+        "<sdf><model name='m'><link name='l'><collision name='c'><geometry><mesh><uri>a.gltf</uri></mesh></geometry>"
+        "</collision></link></model></sdf>"
+    )
+    with pytest.raises(Error, match=r"nodes must have finite transforms"):
+        load_scene(tmp_path / "a.sdf")
 
 
 # ---- trimesh -----------------------------------------------------------------------------------------
