@@ -19,7 +19,7 @@ from sonar_gl.core.poses import MAX_POSITION_M, check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.plume import Bubbles
-from sonar_gl.scene.primitives import Shape, Triangles, transform
+from sonar_gl.scene.primitives import Shape, Triangles, rotation_and_stretch, transform
 from sonar_gl.scene.sonar_sensor import SonarSensor
 from sonar_gl.sonar.sonar import Sonar
 
@@ -217,9 +217,10 @@ def body_at(name: str, shape: Shape, world_from_body) -> Body:
     """Return a body at an affine (4, 4) transform; scale, shear and mirroring go into the vertices."""
     pose = np.array(world_from_body, np.float64)
     linear = pose[:3, :3].copy()
-    if not np.allclose(linear @ linear.T, np.eye(3), atol=1e-6) or np.linalg.det(linear) < 0:
+    is_rigid = np.allclose(linear @ linear.T, np.eye(3), atol=1e-6) and np.linalg.det(linear) > 0
+    if not is_rigid and np.isfinite(linear).all():  # of others `Body` says what is wrong
         matrix = np.eye(4)
-        matrix[:3, :3], pose[:3, :3] = linear, np.eye(3)
+        pose[:3, :3], matrix[:3, :3] = rotation_and_stretch(linear)
         _warn_of_unit(shape.mesh)  # which the transformed one does not state
         shape = transform(shape, matrix)
     return Body(name, shape.mesh, pose, normals=shape.normals)
