@@ -2154,7 +2154,12 @@ MUTATIONS = (
         "size_m.max() < LONG_M and size_m.min() < HIGH_M",
         ("test_extent",),
     ),
-    Mutation("scene/mirrored body", "atol=1e-6) and np.linalg.det(linear) > 0", "atol=1e-6)", ("test_load",)),
+    Mutation(
+        "scene/mirrored body",
+        "atol=1e-6) and np.linalg.det(linear) > 0",
+        "atol=1e-6)",
+        ("test_load::test_a_trimesh_scene_keeps_coordinates_and_applies_scale_to_vertices",),
+    ),
     Mutation(
         "scene/lobe of the material before",
         'self._set("specular", None) self._set("roughness_rad", None)',
