@@ -59,12 +59,13 @@ def scene_sonar_text(scene_name: str, options) -> str:
     Raises
     ------
     Error
-        if the scene's sensors describe none.
+        if the tags of the sensor at the scene's sonar describe none.
     """
     scene = load_scene(scene_name, options.resource_path, options.skip_missing)
     if scene.sonar is None:
+        got = f"{scene.sensors[0]}, whose tags do not" if scene.sensors else "no sensor of a sonar"
         raise Error(
-            f"scene {scene.name!r} must have a sensor whose tags describe a sonar (got none; "
+            f"scene {scene.name!r} must have a sonar that the tags of its sensor describe (got {got}; "
             "'sonar-gl sonars' lists the presets)"
         )
     sensor = scene.sensors[0]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import math
+import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -335,3 +337,12 @@ def unknown_body_error(
             "the scene's sonar, which returns no echo: give the sensor a link of its own)"
         )
     return Error(f"{rule} (got {shown(name)}; {nearest_of_many(name, known)})")
+
+
+def check_file_name(path, suffixes: tuple[str, ...]) -> Path:
+    """Return the path of a file to be written; raise an `Error` unless it ends in one of the suffixes, in any case."""
+    check_kind("path", path, str | os.PathLike, f"the name of a file that ends in {' or '.join(suffixes)}")
+    path = Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise Error(f"{str(path)!r} must end in {' or '.join(suffixes)} (got {path.suffix or 'no suffix'})")
+    return path

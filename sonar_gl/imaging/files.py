@@ -15,7 +15,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.atomic_file import atomic_write, describe_os_error, write_trial
-from sonar_gl.core.checks import check_kind, check_number, holds_numbers, shown
+from sonar_gl.core.checks import check_file_name, check_kind, check_number, holds_numbers, shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_is_file
 from sonar_gl.core.npz import read_npz
@@ -61,7 +61,7 @@ def save_png(path: str | os.PathLike, picture: np.ndarray) -> None:
     Error
         if the path or the picture is of another kind, or the file cannot be written.
     """
-    path = _checked(path, (".png",))
+    path = check_file_name(path, (".png",))
     data = png_bytes(picture)
     with atomic_write(path) as beside:
         beside.write_bytes(data)
@@ -99,7 +99,7 @@ def save_npz(path: str | os.PathLike, ping: Ping) -> None:
         if the path has another suffix, the arrays do not fit one another, `meta` holds values that JSON cannot, or the
         file cannot be written.
     """
-    path = _checked(path, (".npz",))
+    path = check_file_name(path, (".npz",))
     check_kind("ping", ping, Ping, "as Simulator.ping returns it")
     try:
         data = npz_bytes(ping)
@@ -227,7 +227,7 @@ def save_animation(path: str | os.PathLike, frames: Iterable[np.ndarray], fps: f
     every build of OpenCV includes and which encodes a frame in milliseconds. Video needs even sizes, so odd ones get a
     black row or column.
     """
-    path = _checked(path, (".gif", ".mp4"))
+    path = check_file_name(path, (".gif", ".mp4"))
     film = path.suffix.lower()[1:]
     fps = check_fps(fps, film)
     check_kind("frames", frames, Iterable, "give several pictures, also of a generator")
@@ -354,12 +354,3 @@ def _plain(value):
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"got {type(value).__name__}")
-
-
-def _checked(path, suffixes: tuple[str, ...]) -> Path:
-    """Return the path, or raise an Error unless it ends in one of the suffixes."""
-    check_kind("path", path, str | os.PathLike, f"the name of a file that ends in {' or '.join(suffixes)}")
-    path = Path(path)
-    if path.suffix.lower() not in suffixes:
-        raise Error(f"{str(path)!r} must end in {' or '.join(suffixes)} (got {path.suffix or 'no suffix'})")
-    return path

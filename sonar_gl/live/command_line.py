@@ -98,7 +98,7 @@ def sonar_text(sonar: Sonar, source: SceneSource) -> str:
     if not texts:
         raise Error(
             f"a sonar on a command line must be a preset, or of a .toml file (got {sonar.name!r}, made otherwise; "
-            "write it to a file, and give that by --sonar)"
+            "write it to a file by sonar_gl.save_sonar or 'sonar-gl sonars --scene', and give that by --sonar)"
         )
     return min(texts)[1]
 

@@ -206,6 +206,11 @@ def _read_parts(scene, path: Path) -> list[MeshPart]:
         mesh = scene.geometry[key]
         if len(getattr(mesh, "faces", ())) == 0:  # points and lines
             continue
+        if not np.isfinite(matrix).all():
+            raise Error(
+                f"{path}: nodes must have finite transforms (got NaN or infinity in node {str(node)!r}; correct its "
+                "translation, rotation and scale, or those of its parents)"
+            )
         if key not in shapes:
             shapes[key] = _shape_of(mesh, key, path)
         units = str(mesh.metadata.get("units", "")).split(" * ")

@@ -49,9 +49,8 @@ def textured_body(
         if an array has the wrong shape, a number is out of bounds, there would be more than two million faces, or there
         are no texture coordinates.
     """
-    Body(
-        name, mesh
-    )  # raises the errors of name and mesh, and warns of a unit, which the split mesh does not state
+    # raises the errors of name and mesh, and warns of a unit, which the split mesh does not state
+    Body(name, mesh)
     location, own_uv = f"body {name!r}", getattr(getattr(mesh, "visual", None), "uv", None)
     if uv is None and own_uv is None:
         raise Error(f"{location}: a mesh with an image needs texture coordinates (give uv, (V, 2))")
@@ -132,11 +131,8 @@ def read_image(image) -> np.ndarray:
     given, image = image, np.asarray(image)
     if not holds_numbers(image):
         raise Error(f"{what} must be an array of numbers, or the path of a file (got {shown(given)})")
-    if image.ndim == 3 and image.shape[2] not in (
-        1,
-        3,
-        4,
-    ):  # such as colours first, of which a mean would be no image
+    # such as colours first, of which a mean would be no image
+    if image.ndim == 3 and image.shape[2] not in (1, 3, 4):
         raise Error(f"{what} must have shape (H, W), or (H, W, 1, 3 or 4) of colours (got {image.shape})")
     scale = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
     if image.ndim == 3:

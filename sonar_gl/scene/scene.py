@@ -216,8 +216,9 @@ def _warn_of_unit(mesh) -> None:
 def body_at(name: str, shape: Shape, world_from_body) -> Body:
     """Return a body at an affine (4, 4) transform; scale, shear and mirroring go into the vertices."""
     pose = np.array(world_from_body, np.float64)
-    linear = pose[:3, :3]
-    if not np.allclose(linear @ linear.T, np.eye(3), atol=1e-6) or np.linalg.det(linear) < 0:
+    linear = pose[:3, :3].copy()
+    is_rigid = np.allclose(linear @ linear.T, np.eye(3), atol=1e-6) and np.linalg.det(linear) > 0
+    if not is_rigid and np.isfinite(linear).all():  # of others `Body` says what is wrong
         matrix = np.eye(4)
         pose[:3, :3], matrix[:3, :3] = rotation_and_stretch(linear)
         _warn_of_unit(shape.mesh)  # which the transformed one does not state

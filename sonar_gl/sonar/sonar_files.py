@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from sonar_gl.core.atomic_file import atomic_write
-from sonar_gl.core.checks import check_choice, check_kind, shown
+from sonar_gl.core.checks import check_choice, check_file_name, check_kind, shown
 from sonar_gl.core.errors import Error, errors_at, nearest_names, similar_names
 from sonar_gl.core.input_files import check_no_link_loop
 from sonar_gl.core.key_values import parse_fields
@@ -105,9 +105,7 @@ def save_sonar(path: str | Path, sonar: Sonar) -> None:
     Error
         if the path has another ending, or the file cannot be written.
     """
-    path = Path(path)
-    if path.suffix != ".toml":
-        raise Error(f"{path}: the sonar's file must end in .toml")
+    path = check_file_name(path, (".toml",))
     text = sonar_file_text(sonar)
     with atomic_write(path) as beside:
         beside.write_text(text, encoding="utf-8")

@@ -537,7 +537,11 @@ def test_sonars_writes_the_sonar_of_a_scene_as_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--scene", "pylon"], "scene 'pylon' must have a sensor whose tags describe a sonar (got none; "),
+        (
+            ["--scene", "pylon"],
+            "scene 'pylon' must have a sonar that the tags of its sensor describe (got sensor 'imaging_sonar' of model "
+            "'sonar', whose tags do not; ",
+        ),
         (["p900-45", "--scene", "pylon"], "SONAR and --scene exclude each other (leave one out)"),
         (
             ["--skip-missing"],

@@ -56,13 +56,8 @@ OF_LIBRARIES = {
     "moderngl._store": "the default context of a process",
     "mesh._cache": "trimesh computes normals that the file has",
 }
-PUBLIC = {
-    "_replace",
-    "_fields",
-    "_asdict",
-    "_make",
-    "_repr_png_",
-}  # of named tuples, and of what notebooks show
+# of named tuples, and of what notebooks show
+PUBLIC = {"_replace", "_fields", "_asdict", "_make", "_repr_png_"}
 
 
 # in formatted code a private attribute follows its dot, and a private import its word, its comma or its indentation

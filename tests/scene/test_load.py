@@ -2,6 +2,7 @@
 
 import copy
 import importlib.metadata
+import json
 import os
 import pickle
 import subprocess
@@ -347,6 +348,27 @@ def test_the_body_of_a_mesh_file_has_the_pose_of_its_node(tmp_path):
     np.testing.assert_array_equal(body.mesh.bounds, [[-0.5, -1.5, -1], [0.5, 1.5, 1]])
 
 
+@pytest.mark.filterwarnings("ignore:.*reflectivity")
+def test_nodes_of_a_mesh_file_that_are_not_finite_are_named(tmp_path):
+    """Scales of nested nodes are multiplied, and may overflow."""
+    _gltf_of_copies(tmp_path / "a.gltf", trimesh.creation.box((1, 2, 3)), {"quay": np.eye(4)})
+    content = json.loads((tmp_path / "a.gltf").read_text())
+    scale = {"scale": [1e200, 1, 1]}
+    content |= {
+        "nodes": [{"children": [1]} | scale, {"name": "quay", "mesh": 0} | scale],
+        "scenes": [{"nodes": [0]}],
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    with pytest.raises(Error, match=r"a.gltf: nodes must have finite transforms \(got .* in node 'quay'"):
+        load_scene(tmp_path / "a.gltf")
+    (tmp_path / "a.sdf").write_text(
+        "<sdf><model name='m'><link name='l'><collision name='c'><geometry><mesh><uri>a.gltf</uri></mesh></geometry>"
+        "</collision></link></model></sdf>"
+    )
+    with pytest.raises(Error, match=r"nodes must have finite transforms"):
+        load_scene(tmp_path / "a.sdf")
+
+
 # ---- trimesh -----------------------------------------------------------------------------------------
 
 
@@ -393,6 +415,7 @@ def test_a_trimesh_scene_keeps_coordinates_and_applies_scale_to_vertices():
     bodies = {body.name: body for body in load_scene(scene).bodies}
     assert set(bodies) == {"rigid", "scaled", "mirrored"}
     np.testing.assert_array_equal(bodies["rigid"].pose, pose(4, 5, 6, roll=1))
+    # of a node that is scaled, too, the pose is that of the node: as in mesh files
     np.testing.assert_allclose(bodies["scaled"].pose, pose(1, 2, 3, yaw=np.pi / 2), rtol=0, atol=1e-15)
     np.testing.assert_allclose(bodies["scaled"].mesh.extents, [2, 4, 6], rtol=1e-14)
     assert bodies["mirrored"].mesh.volume > 0  # its faces still look outwards

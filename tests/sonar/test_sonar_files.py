@@ -38,7 +38,8 @@ def test_what_has_its_default_or_no_effect_is_not_written(tmp_path):
 @pytest.mark.parametrize(
     ("path", "sonar", "message"),
     [
-        ("mine.txt", P900, r"^mine.txt: the sonar's file must end in .toml$"),
+        ("mine.txt", P900, r"^'mine.txt' must end in .toml \(got .txt\)$"),
+        (None, P900, r"^path must be a str \(got NoneType; the name of a file that ends in .toml\)$"),
         ("none/mine.toml", P900, r"^cannot write 'none/mine.toml': the folder 'none' does not exist$"),
         (
             "mine.toml",
