@@ -609,7 +609,7 @@ class TestMoving:
             assert one.meta["sampling"] == alone.meta["sampling"]
 
     @pytest.mark.slow
-    def test_a_far_ping_that_is_interrupted_has_come_out_or_was_never_asked_for(self):
+    def test_a_far_ping_that_is_interrupted_was_never_asked_for(self):
         """A ping near the one before it follows that one, and has not the samples and the error of the far one."""
         rods = [
             sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
@@ -633,7 +633,7 @@ class TestMoving:
         files = [f"engine/{name}.py" for name in ("adaptive", "level_search", "replan_trigger")]
         places = [place for place in dict.fromkeys(places) if place[0] in files]
         results = [result_of(of_wall, at=place)[0] for place in places]
-        assert len(places) > 30 and {never, come_out} == set(results)
+        assert len(places) > 30 and set(results) == {never}
 
     @pytest.mark.parametrize("why", [KeyboardInterrupt, MemoryError])
     def test_pings_after_one_that_failed_are_those_without_it(self, why, monkeypatch):
