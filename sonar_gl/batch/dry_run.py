@@ -103,23 +103,22 @@ def _views_text(size: str, views: list[HardView], requests: BatchRequests) -> li
             f"  ping {view.number}, vehicle at {pose}: {view.n_samples} samples for {why}, estimated error "
             f"{view.error_estimate:.2g}"
         )
-    silent = [view for view in views if not view.has_echo]
-    if silent:
-        first, verb = silent[0], "has" if len(silent) == 1 else "have"
-        pose = requests[first.number].vehicle_pose @ requests.mounts[first.sonar]
-        lines.append(
-            f"  {len(silent)} of these {len(views)} pings {verb} no echo, such as ping {first.number}, sonar at "
-            f"{_pose_text(pose)} ('sonar-gl render --pose' says why)"
-        )
-    enclosed = [view for view in views if view.around]
-    if enclosed:
-        first, verb = enclosed[0], "has" if len(enclosed) == 1 else "have"
-        pose = requests[first.number].vehicle_pose @ requests.mounts[first.sonar]
-        lines.append(
-            f"  {len(enclosed)} of these {len(views)} pings {verb} the sonar in a body or below a floor, such as ping "
-            f"{first.number}, sonar at {_pose_text(pose)}, in or below {first.around!r}"
-        )
+    if silent := [view for view in views if not view.has_echo]:
+        some = _some_text(silent, len(views), "no echo", requests)
+        lines.append(f"{some} ('sonar-gl render --pose' says why)")
+    if enclosed := [view for view in views if view.around]:
+        some = _some_text(enclosed, len(views), "the sonar in a body or below a floor", requests)
+        lines.append(f"{some}, in or below {enclosed[0].around!r}")
     return lines
+
+
+def _some_text(some: list[HardView], n_views: int, what: str, requests: BatchRequests) -> str:
+    """Return how many of the pings of a sonar have something, and the first of them."""
+    first, verb = some[0], "has" if len(some) == 1 else "have"
+    pose = _pose_text(requests[first.number].vehicle_pose @ requests.mounts[first.sonar])
+    return (
+        f"  {len(some)} of these {n_views} pings {verb} {what}, such as ping {first.number}, sonar at {pose}"
+    )
 
 
 def _seen_text(seen: SeenClasses) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import textwrap
 
 import click
@@ -48,9 +47,9 @@ def sonars_text() -> str:
     return table_text(header, rows)
 
 
-def sonar_text(what: str) -> str:
+def named_sonar_text(what: str) -> str:
     """Return the content of a file that describes the sonar of a --sonar."""
-    return sonar_file_text(load_sonar(os.path.expanduser(what))).rstrip("\n")
+    return sonar_file_text(load_sonar(what)).rstrip("\n")
 
 
 def scene_sonar_text(scene_name: str, options) -> str:

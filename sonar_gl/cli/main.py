@@ -237,7 +237,7 @@ def sonars(sonar, scene, **options):
     elif any(options.values()):
         raise Error("--resource-path and --skip-missing need --scene (they say how a scene is read)")
     else:
-        text = cli.listings.sonars_text() if sonar is None else cli.listings.sonar_text(sonar)
+        text = cli.listings.sonars_text() if sonar is None else cli.listings.named_sonar_text(sonar)
     echo(text)
 
 

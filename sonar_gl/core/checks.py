@@ -18,7 +18,7 @@ NO_NUMBERS = {"S": "text", "U": "text", "T": "text", "c": "complex numbers", "M"
 
 
 def _is_read_only(array) -> bool:
-    """Return whether an array owns what it holds, in C order, and nobody writes into it."""
+    """Return whether an array is read-only, owns what it holds, and has it in C order."""
     if type(array) is not np.ndarray or array.base is not None:
         return False
     return array.flags.c_contiguous and not array.flags.writeable
