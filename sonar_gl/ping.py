@@ -74,7 +74,8 @@ class Ping:
     meta : how the ping was made, as plain values; docs/conventions.md, "Files", has the keys
     body_echo : (bodies + 1,) float64 or None, each body's part of the sum of `intensity`, by its number: of its direct
         echo before noise, with what a pulse carries beyond the first and the last bin
-    error_estimate : float or None, estimated share of the echo that lies in wrong bins; None where samples were given,
+    error_estimate : float or None, estimated share of the echo that lies in wrong bins, or, where the tolerance is not
+        met for a body, a fifth of the error of that body's own echo if that is more; None where samples were given,
         or planned for other pings
     incidence_rad : (B, K) float32 or None, mean incidence of the strongest body's echo, radians, NaN if there is none
     true_range_m : (B, K) float32 or None, mean slant range of that echo in the water, metres, NaN if there is none
