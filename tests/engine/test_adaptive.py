@@ -1169,6 +1169,17 @@ class TestPlan:
         assert 2.5 * tolerance < plan.worst_body_estimate <= 5 * tolerance
         assert plan.error_estimate <= tolerance
 
+    @pytest.mark.parametrize(
+        "total, body, met, expected",
+        [(0.01, 0.2, True, 0.01), (0.01, 0.6, False, 0.12), (0.2, 0.6, False, 0.2)],
+    )
+    def test_where_a_body_breaks_the_promise_a_fifth_of_its_error_is_the_estimate(
+        self, total, body, met, expected
+    ):
+        """If that is more than the error of the ping, which may lie far below the tolerance, 0.05 here."""
+        plan = Plan(sg.Sampling(1.0, 64), 0, total, body, 2, met, 1000)
+        assert plan.bound == pytest.approx(expected, rel=1e-15)  # rounding of one division
+
     def test_a_plan_fixes_the_samples(self):
         scene = TestMoving().scene()
         poses = [sg.pose(yaw=0.3 * k) for k in range(10)]
