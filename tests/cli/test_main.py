@@ -997,6 +997,26 @@ def test_options_that_do_not_go_together():
         assert refused(*options) == message
 
 
+@pytest.mark.parametrize("command", ["render", "plan", "verify", "view", "ros2", "batch"])
+def test_a_device_is_refused_where_the_engine_draws_on_none(command, monkeypatch):
+    told = (
+        "--device must not be given with the engine cpu, which needs no OpenGL device (got 1; leave it out, or give "
+        "--engine opengl)"
+    )
+    what = "job.toml" if command == "batch" else "tank.sdf"
+    monkeypatch.setenv("SONAR_GL_ENGINE", "opengl")
+    for options in (("--engine", "cpu", "--device", 1), ("--device", 1, "--engine", "cpu")):
+        assert run(command, what, *options) == (2, "", f"error: {told}\n")
+    monkeypatch.setenv("SONAR_GL_ENGINE", "cpu")
+    assert run(command, what, "--device", 1) == (2, "", f"error: {told}\n")
+
+
+def test_the_variable_of_a_device_does_no_harm_beside_the_engine_cpu(monkeypatch):
+    monkeypatch.setenv("SONAR_GL_DEVICE", "1")
+    render("--engine", "cpu", "--format", "npz")
+    assert ping().meta["engine"] == "cpu"
+
+
 HEADER = "t,x,y,z,roll,pitch,yaw"
 OR_QUATERNIONS = ", or qx,qy,qz,qw in place of the angles"
 

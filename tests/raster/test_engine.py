@@ -97,6 +97,15 @@ def test_contradictions_are_errors(monkeypatch, arguments, variable, message):
         name_of(**arguments)
 
 
+@pytest.mark.parametrize("other", [{"engine": "cpu"}, {"device": 0}, {"context": "current"}])
+def test_a_second_sonar_takes_the_engine_of_the_first(other):
+    with sg.Simulator(sg.load_scene("pylon"), sg.load_sonar("p900-45"), engine="cpu") as first:
+        ((name, value),) = other.items()
+        told = f"{name} must be left out beside a Simulator, whose engine draws (got {value!r})"
+        with pytest.raises(sg.Error, match=f"^{re.escape(told)}$"):
+            sg.Simulator(first, sg.load_sonar("p900-45"), **other)
+
+
 @pytest.mark.parametrize("name", ["cpu", "opengl"])
 def test_pings_name_their_engine(name):
     scene = sg.load_scene("pylon")
