@@ -103,10 +103,12 @@ def save_sonar(path: str | Path, sonar: Sonar) -> None:
     Raises
     ------
     Error
-        if the path has another ending, or the file cannot be written.
+        if the path has another ending, or the file cannot be written, or cannot hold a text of the sonar.
     """
     path = check_file_name(path, (".toml",))
-    text = sonar_file_text(sonar)
+    check_kind("sonar", sonar, Sonar, "such as sonar_gl.load_sonar('p900-45')")
+    with errors_at(str(path)):
+        text = sonar_file_text(sonar)
     with atomic_write(path) as beside:
         beside.write_text(text, encoding="utf-8")
 

@@ -848,7 +848,9 @@ def test_sonar_files_that_make_no_sense():
         Path("bad.toml").write_text(SONAR.replace(*change))
         assert refused(sonar="bad.toml") == message
     Path("bad.toml").write_bytes(b"name = '\xff'")
-    assert refused(sonar="bad.toml").startswith("bad.toml: the sonar's file must be TOML ('utf-8' codec ")
+    assert refused(sonar="bad.toml") == (
+        "bad.toml: the sonar's file must be TOML in UTF-8 (got byte 0xff in line 1; save it as UTF-8)"
+    )
     assert refused(sonar="none.toml") == (
         f"none.toml: the sonar's file must exist (got none there; paths start at {Path.cwd()})"
     )

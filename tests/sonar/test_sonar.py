@@ -253,8 +253,8 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         "(Expected newline or end of document after a statement (at line 2, column 13))"
     )
     path.write_bytes(b"name = '\xff'")
-    assert error_of(load_sonar, path).startswith(
-        f"{path}: the sonar's file must be TOML ('utf-8' codec can't"
+    assert error_of(load_sonar, path) == (
+        f"{path}: the sonar's file must be TOML in UTF-8 (got byte 0xff in line 1; save it as UTF-8)"
     )
     table = tmp_path / "mine.csv"  # a file of poses in the wrong place
     table.write_text("t,x,y,z\n")
