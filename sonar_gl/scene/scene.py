@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sonar_gl.core.checks import ArraysStayReadOnly, check_kind, check_number, frozen_array, shown
+from sonar_gl.core.checks import (
+    ArraysStayReadOnly,
+    check_iterable,
+    check_kind,
+    check_number,
+    frozen_array,
+    is_iterable,
+    shown,
+)
 from sonar_gl.core.errors import Error, errors_at, nearest_of_many
 from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.core.poses import MAX_POSITION_M, check_pose
@@ -288,11 +296,11 @@ class Scene(ArraysStayReadOnly):
         sensors: Iterable[SonarSensor] = (),
         models: dict | None = None,
     ):
-        things = list(bodies) if isinstance(bodies, Iterable) and not isinstance(bodies, str) else [bodies]
+        things = list(bodies) if is_iterable(bodies) and not isinstance(bodies, str) else [bodies]
         bodies, plumes = _bodies_and_plumes(things)
         pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
         check_kind("the name of a scene", name, str, 'the stem of file names, such as "harbour"')
-        check_kind("sensors of a scene", sensors, Iterable, "those of another scene are `scene.sensors`")
+        check_iterable("sensors of a scene", sensors, "those of another scene are `scene.sensors`")
         models = {} if models is None else models
         check_kind("models of a scene", models, dict, "those of another scene are `scene.models`")
         for model in models:
@@ -340,7 +348,7 @@ class Scene(ArraysStayReadOnly):
         >>> [body.name for body in with_wood.bodies if body.material == "wood"]
         ['box']
         """
-        check_kind("bodies of a scene", bodies, Iterable, "give several, as in scene.with_bodies([body])")
+        check_iterable("bodies of a scene", bodies, "give several, as in scene.with_bodies([body])")
         bodies = list(bodies)
         for body in bodies:
             check_kind("each of the bodies", body, Body, "the plumes of the scene stay")
@@ -348,7 +356,7 @@ class Scene(ArraysStayReadOnly):
 
     def with_more(self, bodies: Iterable[Body | Bubbles]) -> Scene:
         """Return the same scene with more bodies and plumes, after its own."""
-        check_kind("bodies to add", bodies, Iterable, "give several, as in scene.with_more([body])")
+        check_iterable("bodies to add", bodies, "give several, as in scene.with_more([body])")
         added, added_plumes = _bodies_and_plumes(bodies)
         # the bodies of this scene are not checked again but for their names
         out = self._with(())
