@@ -49,7 +49,7 @@ def load_sonar(what: str | Path) -> Sonar:
     stem, mark, table = text.rpartition(".toml#")
     path = Path(stem + ".toml") if mark and not Path(text).exists() else Path(text)
     check_no_link_loop(path)
-    if not path.is_file() and (path.suffix != ".toml" or not path.exists()):
+    if not path.exists() or (path.is_dir() and path.suffix != ".toml"):
         raise _no_sonar_error(what, path, known)
     tables = _read_tables(path)
     if path != Path(text):  # the text names a table
