@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from sonar_gl.batch.job import Mount, Table, job_error, split_sonar
+from sonar_gl.batch.job import Mount, Names, Table, job_error, split_sonar
 from sonar_gl.core.toml import read_toml
 
 TopicName = str | Literal[False]
@@ -82,6 +82,8 @@ class Ros2File(Table):
     counts: str = None
     tolerance: float = None
     seed: Annotated[int, Field(ge=0)] = None
+    only: Names = None
+    without: Names = None
     surface: float = None
     rate: float = None
     duration: Annotated[float, Field(gt=0)] = None
