@@ -17,11 +17,12 @@ import numpy as np
 from pydantic import AfterValidator, Field, Strict, ValidationError
 from pydantic.dataclasses import dataclass
 
-from sonar_gl.batch.job import METRES, RADIANS, STRICT, check_keys, job_error, key_path
+from sonar_gl.batch.job import METRES, RADIANS, check_keys
 from sonar_gl.core.checks import check_choice
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import check_kind_of_file
 from sonar_gl.core.poses import pose, read_poses
+from sonar_gl.core.toml_tables import STRICT, key_path, table_error
 
 MAX_COORDINATE_M = 1e8  # also of lengths; northings of UTM reach 1e7
 MAX_PINGS = 10**9
@@ -423,4 +424,4 @@ def build_trajectory(table: Mapping, file: str, index: int = 0) -> Trajectory:
     try:
         return KINDS[kind](**settings)
     except ValidationError as why:
-        raise job_error(why, KINDS[kind], file, place) from None
+        raise table_error(why, KINDS[kind], file, place) from None

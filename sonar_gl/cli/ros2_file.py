@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from sonar_gl.batch.job import Mount, Names, Table, job_error, split_sonar
 from sonar_gl.core.toml import read_toml
+from sonar_gl.core.toml_tables import Mount, Names, Table, table_error
+from sonar_gl.sonar.sonar_files import split_sonar
 
 TopicName = str | Literal[False]
 Port = Annotated[int, Field(ge=0, le=65535)]
@@ -122,7 +123,7 @@ def read_ros2_file(path) -> Ros2File:
     try:
         found = Ros2File.model_validate(data)
     except ValidationError as why:
-        raise job_error(why, Ros2File, str(path), whole="the file") from None
+        raise table_error(why, Ros2File, str(path)) from None
     folder, here = path.resolve().parent, {}
     if found.poses is not None:
         here["poses"] = _beside(folder, found.poses)

@@ -64,6 +64,17 @@ def load_sonar(what: str | Path) -> Sonar:
     return _sonar_from_table(f"{path} [{table}]", table, tables[table])
 
 
+def split_sonar(text: str) -> tuple[str, str]:
+    """Return the name of a sonar's file, or of a preset, and what follows it: a table's name, or changes of fields.
+
+    >>> split_sonar("mine.toml#deep"), split_sonar("p900-45,receive_taper=hamming")
+    (('mine.toml', '#deep'), ('p900-45', ',receive_taper=hamming'))
+    """
+    found = re.search(r"#|,\s*\w+\s*=", text)
+    at = len(text) if found is None else found.start()
+    return text[:at], text[at:]
+
+
 def _changed(what: str, text: str) -> Sonar:
     """Return the sonar of a name or file, with changes of fields, "key=value,..."."""
     for key in (item.partition("=")[0].strip() for item in text.split(",")):
