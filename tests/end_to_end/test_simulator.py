@@ -22,7 +22,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.cli.warm_up import compiled_functions
+from sonar_gl.cli.compilation import compiled_functions
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.functions import Functions
