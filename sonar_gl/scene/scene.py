@@ -27,7 +27,7 @@ from sonar_gl.core.poses import MAX_POSITION_M, check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.plume import Bubbles
-from sonar_gl.scene.primitives import Shape, Triangles, rotation_and_stretch, transform
+from sonar_gl.scene.primitives import Triangles
 from sonar_gl.scene.sonar_sensor import SonarSensor
 from sonar_gl.sonar.sonar import Sonar
 
@@ -170,7 +170,7 @@ class Body(ArraysStayReadOnly):
         if faces.min() < 0 or faces.max() >= len(vertices):
             got = faces.min() if faces.min() < 0 else faces.max()
             raise Error(f"{location}: faces must name vertices 0..{len(vertices) - 1} (got {got})")
-        _warn_of_unit(self.surface)
+        warn_of_unit(self.surface)
         return len(vertices), len(faces)
 
     def _apply_material(self, location: str):
@@ -199,7 +199,7 @@ class Body(ArraysStayReadOnly):
 NO_OTHER_UNIT = ("", "none", "metre", "metres")
 
 
-def _warn_of_unit(mesh) -> None:
+def warn_of_unit(mesh) -> None:
     """Warn of a mesh of trimesh that states another unit than metres.
 
     It is not converted: trimesh keeps the statement when a mesh is scaled by hand.
@@ -219,19 +219,6 @@ def _warn_of_unit(mesh) -> None:
             f"a mesh states the unit {shown(unit)}, and its coordinates are taken as metres (convert it, by trimesh's "
             "convert_units('m') of mesh or scene; if it is in metres, set mesh.units = 'm')"
         )
-
-
-def body_at(name: str, shape: Shape, world_from_body) -> Body:
-    """Return a body at an affine (4, 4) transform; scale, shear and mirroring go into the vertices."""
-    pose = np.array(world_from_body, np.float64)
-    linear = pose[:3, :3].copy()
-    is_rigid = np.allclose(linear @ linear.T, np.eye(3), atol=1e-6) and np.linalg.det(linear) > 0
-    if not is_rigid and np.isfinite(linear).all():  # of others `Body` says what is wrong
-        matrix = np.eye(4)
-        pose[:3, :3], matrix[:3, :3] = rotation_and_stretch(linear)
-        _warn_of_unit(shape.mesh)  # which the transformed one does not state
-        shape = transform(shape, matrix)
-    return Body(name, shape.mesh, pose, normals=shape.normals)
 
 
 def hull_text(model: str) -> str:

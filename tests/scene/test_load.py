@@ -421,6 +421,31 @@ def test_a_trimesh_scene_keeps_coordinates_and_applies_scale_to_vertices():
     assert bodies["mirrored"].mesh.volume > 0  # its faces still look outwards
 
 
+@pytest.mark.parametrize("error", [0.0, 1e-8])
+def test_copies_in_a_trimesh_scene_of_one_size_share_their_mesh_as_in_mesh_files(error):
+    """Also where matrices come in single precision, from a program of graphics: their poses are made rotations."""
+    scene, rock = trimesh.Scene(), trimesh.creation.icosphere(1)
+    rough = np.zeros((4, 4))
+    rough[:3, :3] = error * np.arange(9).reshape(3, 3) / 8  # as rounding leaves
+    turned = pose(7, 8, 9, roll=0.3, pitch=-0.4, yaw=2)
+    places = {
+        "plain": turned + rough,
+        "large": _scaled(turned, 2, 2, 2) + rough,
+        "large_too": _scaled(pose(-5, yaw=1), 2, 2, 2),
+    }
+    scene.add_geometry(rock, geom_name="rock", node_name="plain", transform=places["plain"])
+    for name in ("large", "large_too"):
+        scene.graph.update(frame_to=name, matrix=places[name], geometry="rock")
+    bodies = {body.name: body for body in load_scene(scene).bodies}
+    assert bodies["plain"].surface is rock
+    assert bodies["large"].surface is bodies["large_too"].surface
+    for name, body in bodies.items():
+        assert np.allclose(body.pose[:3, :3] @ body.pose[:3, :3].T, np.eye(3), rtol=0, atol=1e-12)
+        got = body.pose[:3, :3] @ body.mesh.vertices.T + body.pose[:3, 3:]
+        expected = places[name][:3, :3] @ rock.vertices.T + places[name][:3, 3:]
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-13 + 4 * error)
+
+
 # ---- pyrender ----------------------------------------------------------------------------------------
 
 
