@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
 
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
-from sonar_gl.core.input_files import check_kind_of_file, read_error_text
+from sonar_gl.core.input_files import check_kind_of_file, is_utf_16, read_error_text
 
 try:
     import tomllib
@@ -40,8 +39,8 @@ def read_toml(path: Path, what: str, hint: str = "") -> dict:
     except UnicodeDecodeError as why:
         line = why.object.count(b"\n", 0, why.start) + 1
         got = f"byte 0x{why.object[why.start]:02x} in line {line}"
-        raise _encoding_error(path, what, "UTF-16" if _is_utf_16(why.object) else got, hint) from None
-    if _is_utf_16(text[:2].encode()):  # without a mark of byte order and of ASCII alone, it passes for UTF-8
+        raise _encoding_error(path, what, "UTF-16" if is_utf_16(why.object) else got, hint) from None
+    if is_utf_16(text[:2].encode()):  # without a mark of byte order and of ASCII alone, it passes for UTF-8
         raise _encoding_error(path, what, "UTF-16", hint)
     try:
         found = tomllib.loads(text)
@@ -52,11 +51,6 @@ def read_toml(path: Path, what: str, hint: str = "") -> dict:
     if _is_deep(found):
         raise _nesting_error(path, what)
     return found
-
-
-def _is_utf_16(data: bytes) -> bool:
-    """Return whether a file of text begins as UTF-16 does: by its mark of byte order, or a letter of two bytes."""
-    return data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) or 0 in data[:2]
 
 
 def _encoding_error(path: Path, what: str, got: str, hint: str) -> Error:

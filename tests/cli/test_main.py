@@ -1038,6 +1038,14 @@ OR_QUATERNIONS = ", or qx,qy,qz,qw in place of the angles"
             f"p.csv: line 1: column x is more than once; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
             "(got 't,x,x,y,z,roll,pitch,yaw')",
         ),
+        *(
+            (
+                HEADER.replace(",", mark) + "\n" + mark.join("0000000") + "\n",
+                f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
+                f"(got {HEADER.replace(',', mark)!r}; separate columns by commas)",
+            )
+            for mark in (";", "\t", " ", "; ")
+        ),
         (
             "0,0,0,0,0,0,0\n",
             f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
@@ -1078,7 +1086,13 @@ def test_tables_of_poses_that_cannot_be_read():
     Path("folder").mkdir()
     assert refused("--poses", "folder") == "folder: must be a file (got a folder)"
     Path("p.csv").write_bytes(b"t,x\xff\n")
-    assert refused("--poses", "p.csv") == "p.csv: the file of poses must be text in UTF-8"
+    assert refused("--poses", "p.csv") == (
+        "p.csv: the file of poses must be text in UTF-8 (got byte 0xff; save it as UTF-8)"
+    )
+    Path("p.csv").write_text(f"{HEADER}\n0,0,0,0,0,0,0\n", encoding="utf-16")
+    assert refused("--poses", "p.csv") == (
+        "p.csv: the file of poses must be text in UTF-8 (got UTF-16; save it as UTF-8)"
+    )
 
 
 def test_tables_of_poses_go_by_the_names_of_their_columns():
