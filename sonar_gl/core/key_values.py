@@ -57,6 +57,10 @@ def parse_fields(
         if may_be_preset and key in presets:
             preset = key
             continue
+        if not item.strip() and "," in text:
+            raise Error(
+                f"{location}: commas must stand between two items (got one with none beside it; leave it out)"
+            )
         if key not in kinds:
             known = [*kinds, *presets] if may_be_preset else kinds
             hint = nearest_names(key, known)

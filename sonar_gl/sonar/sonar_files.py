@@ -95,6 +95,8 @@ def _no_sonar_error(what: str | Path, path: Path, known: Collection[str]) -> Err
         hint = nearest_names(text.casefold(), known)
         if Path(f"{text}.toml").is_file():
             hint = f"write {text}.toml for the file"
+        elif "=" in text:
+            hint += "; changes of its fields follow a comma each, as in p900-45,n_beams=64,n_bins=400"
         elif path.suffix:
             hint += "; a sonar's file must end in .toml"
         return Error(f"unknown sonar (got {text!r}; {hint})")

@@ -47,7 +47,10 @@ def test_values_have_the_types_of_the_fields(text, preset, values):
     "text, message",
     [
         ("", "unknown name (got ''; known are count, law, level, limit, loud, maybe, on, quiet)"),
-        ("on,,", "unknown name (got ''; known are count, law, level, limit, maybe, on)"),
+        *(
+            (text, "commas must stand between two items (got one with none beside it; leave it out)")
+            for text in ("on,", "on,,", ",on", "on, ,count=3", ",")
+        ),
         ("on,quiet", "unknown name (got 'quiet'; known are count, law, level, limit, maybe, on)"),
         ("quiet=1", "unknown name (got 'quiet'; known are count, law, level, limit, maybe, on)"),
         ("levl=1", "unknown name (got 'levl'; did you mean 'level'?)"),
