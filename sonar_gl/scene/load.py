@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sonar_gl.core.checks import shown
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, errors_at, nearest_names, similar_names
 from sonar_gl.core.input_files import check_is_file, check_no_link_loop
@@ -101,6 +102,11 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     path, bundled = Path(split_arguments(str(what))[0]), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
+    if isinstance(what, str) and re.match("[a-z]+://", what):
+        raise Error(
+            f"a scene must be a bundled name or a path (got the address {shown(what)}; give the path of its file or "
+            "folder on this machine)"
+        )
     check_no_link_loop(path)
     if (path / "model.sdf").is_file() or (path / "model.config").is_file():
         return read_sdf(path, resource_paths, skip_missing)

@@ -127,6 +127,11 @@ def test_invalid_paths(two_scenes):
         error_message(str(two_scenes))
         == f"{two_scenes}: a folder must be that of a model (it has neither model.config nor model.sdf)"
     )
+    for address in ("https://fuel.gazebosim.org/1.0/a/models/Boat", "model://boat", "file:///tmp/a.sdf"):
+        assert error_message(address) == (
+            f"a scene must be a bundled name or a path (got the address {address!r}; give the path of its file or "
+            "folder on this machine)"
+        )
     assert error_message("a.usdz") == "a.usdz: USD is not read; convert it to .glb, for instance by Blender"
     assert error_message(3) == (
         "a scene must be a bundled name, a path, or a scene or mesh of trimesh, pyrender or MuJoCo (got int)"
