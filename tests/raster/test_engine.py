@@ -88,6 +88,16 @@ def test_the_variable_chooses_and_an_argument_overrides_it(no_card, monkeypatch)
             "",
             "the cpu engine needs no OpenGL (got context 'current'",
         ),
+        (
+            {"context": np.zeros(3)},
+            "",
+            "context must be 'current' without a device, or None (got array([0., 0., 0.])",
+        ),
+        (
+            {"engine": np.zeros(3)},
+            "",
+            "the engine must be one of auto, opengl, cpu (got array([0., 0., 0.]))",
+        ),
         ({"context": "mine"}, "", "context must be 'current' without a device, or None (got 'mine')"),
     ],
 )
