@@ -1775,6 +1775,31 @@ def test_a_size_that_is_misspelt_is_told_of(tmp_path, geometry, tag, hint):
     ]
 
 
+@pytest.mark.parametrize(
+    ("geometry", "tag", "sizes"),
+    [
+        ("<sphere><diameter>4</diameter></sphere>", "sphere/diameter", "radius"),
+        (
+            "<cylinder><diameter> 4.5 </diameter><length>3</length></cylinder>",
+            "cylinder/diameter",
+            "length, radius",
+        ),
+        ("<box><dimensions>1 2 3</dimensions></box>", "box/dimensions", "size"),
+        ("<box><x>1</x></box>", "box/x", "size"),
+    ],
+)
+def test_a_number_in_the_place_of_a_size_is_told_of(tmp_path, geometry, tag, sizes):
+    path = write(
+        tmp_path / "a.sdf", model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")))
+    )
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: tags that SDF does not know there are left out: world/model[m]/link[link]/collision[c]/"
+        f"geometry/{tag} (known are {sizes})"
+    ]
+
+
 def test_other_tags_of_shapes_give_no_warning(read):
     geometry = "<geometry><box><size>1 2 3</size><sizes>x</sizes><texture/></box></geometry>"
     assert len(read(model(link(shape=shape(RETRO, geometry=geometry)))).bodies) == 1
