@@ -335,7 +335,7 @@ class Job(Table):
         """Return the scene, sonar and pose files that the job names."""
         scenes = [split_arguments(name)[0] for name in self.scenes]
         names = [*scenes, *(split_sonar(table.sonar)[0] for table in self.sonars)]
-        names += [str(table.get("file", "")) for table in self.poses]
+        names += [name for table in self.poses if isinstance(name := table.get("file"), str)]
         return [path for name in names if name and (path := self.path(name)).is_file()]
 
 

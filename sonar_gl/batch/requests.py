@@ -161,8 +161,8 @@ class BatchRequests(Sequence):
 
     def _load_trajectory(self, index: int) -> Trajectory:
         table = dict(self.job.poses[index])
-        if "file" in table:
-            table["file"] = str(self.job.path(str(table["file"])))
+        if isinstance(table.get("file"), str):  # of others the trajectory says what is wrong
+            table["file"] = str(self.job.path(table["file"]))
         if table.get("kind") == "random_views":
             table.setdefault("seed", self._views_seed(index))
         return build_trajectory(table, self.job.where, index)

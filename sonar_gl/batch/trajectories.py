@@ -418,7 +418,9 @@ def build_trajectory(table: Mapping, file: str, index: int = 0) -> Trajectory:
             check_choice("key", key, {"kind", "scenes", *known}, where)
     kind = settings.pop("kind", None)
     if not isinstance(kind, str) or kind not in KINDS:
-        raise Error(f"{where}: kind must be one of {', '.join(KINDS)} (got {kind!r})")
+        raise Error(
+            f"{where}: kind must be one of {', '.join(KINDS)} (got {'none' if kind is None else repr(kind)})"
+        )
     settings.pop("scenes", None)
     check_keys(KINDS[kind], settings, where, also=("scenes",))
     try:
