@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import Water
-from sonar_gl.core.checks import check_kind
+from sonar_gl.core.checks import check_kind, shown
 from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.flow import Plan
@@ -47,7 +47,8 @@ class Simulator:
         there is a graphics card; None is the environment variable SONAR_GL_ENGINE, or "auto"
     device : index of an EGL device, as `sonar-gl doctor` lists them; None is that of the environment variable
         SONAR_GL_DEVICE, or else the first
-    context : "current" joins the OpenGL context that is current, a host's; None creates one
+    context : "current" joins the OpenGL context that is current, a host's; None creates one; beside a Simulator this,
+        `engine` and `device` must be None
 
     Attributes
     ----------
@@ -80,7 +81,16 @@ class Simulator:
         check_kind("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)")
         self._sonar = sonar
         self._acoustics = acoustics if acoustics is not None else Acoustics.physical()
-        world = scene.world if isinstance(scene, Simulator) else World(scene, engine, device, context)
+        if isinstance(scene, Simulator):
+            given = {"engine": engine, "device": device, "context": context}
+            for name, value in given.items():
+                if value is not None:
+                    raise Error(
+                        f"{name} must be left out beside a Simulator, whose engine draws (got {shown(value)})"
+                    )
+            world = scene.world
+        else:
+            world = World(scene, engine, device, context)
         self._run = Run(world, sonar, self.acoustics, sampling, tolerance)
         self.gl_info = world.gl_info
         warm_up(self._run)

@@ -237,6 +237,7 @@ class Acoustics:
         >>> Acoustics.parse("tvg_k=30,elevation_pattern=gaussian").tvg_k
         30.0
         """
+        check_kind("acoustics", text, str, "such as 'tvg_k=30,multipath=coherent'")
         keys = [item.partition("=")[0].strip() for item in text.split(",")]
         check_moved(f"acoustics {text!r}", keys)
         if "needed" in keys:

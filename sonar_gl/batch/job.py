@@ -1,4 +1,4 @@
-"""The job file of a batch: its tables, and errors that name file, table and key."""
+"""The job file of a batch: its tables, and what its keys may hold."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ import hashlib
 import json
 import math
 import os
-import re
 from collections.abc import Iterable, Mapping
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from sonar_gl.core.checks import check_choice, is_finite
 from sonar_gl.core.errors import Error, errors_at, nearest_names, nearest_of_many
 from sonar_gl.core.extras import missing_module
 from sonar_gl.core.names import names_of
-from sonar_gl.core.poses import check_pose, pose
 from sonar_gl.core.toml import read_toml
 from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
 from sonar_gl.imaging.fan_image import colours
@@ -25,35 +23,18 @@ from sonar_gl.imaging.styles import FanStyle, what_lacks_16_bits
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB
 from sonar_gl.sonar.sonar import MAX_BINS
+from sonar_gl.sonar.sonar_files import split_sonar
 
 try:
-    from pydantic import (
-        AfterValidator,
-        BaseModel,
-        BeforeValidator,
-        ConfigDict,
-        Field,
-        ValidationError,
-        model_validator,
-    )
+    from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+
+    from sonar_gl.core.toml_tables import IDENTIFIER, WORD, Mount, Names, Table, known_keys, table_error
 except ModuleNotFoundError as why:
     raise missing_module("batch", why) from None
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
-# errors of pydantic about the length of a list
-LENGTHS = {
-    "too_short": "should have a length of at least {min_length}",
-    "too_long": "should have a length of at most {max_length}",
-}
-# errors of pydantic about the pattern of a name
-PATTERNS = {
-    r"^[A-Za-z][A-Za-z0-9_]*$": "should begin with a letter, A-Z or a-z, and go on with such letters, digits and _",
-    r"^[\w.-]+$": "should consist of letters, digits, _, - and .",
-}
-SONAR_NAME, JOB_NAME = PATTERNS
-TABLES = "dataclass_type", "dict_type", "model_attributes_type", "model_type"  # of what is no table
 # keys of former versions: what stands in their place
-REPLACED = {
+REPLACED_BY_COUNTS = {
     "scale": 'counts = { law = "db" }, or { law = "power", exponent = 1 } for a linear scale',
     "db_range": 'counts = { law = "db", low_db = -50, high_db = 0 }',
     "bits": "counts = { bits = 16 }",
@@ -96,11 +77,6 @@ def _check_counts(value):
     return value
 
 
-def _check_mount(numbers: list[float]) -> list[float]:
-    check_pose(pose(*numbers))
-    return numbers
-
-
 def _check_colormap(name: str) -> str:
     colours(name)
     return name
@@ -116,23 +92,7 @@ VariedRadians = Annotated[
     Any, BeforeValidator(partial(_check_varied, low=-6.283, high=6.283)), Field(description=RADIANS)
 ]
 CountsChanges = Annotated[dict, BeforeValidator(_check_counts)]
-Mount = Annotated[
-    list[float],
-    Field(min_length=6, max_length=6, description="give [x, y, z, roll, pitch, yaw] in metres and radians"),
-    AfterValidator(_check_mount),
-]
-Names = Annotated[list[str], Field(min_length=1)]
-
-# settings of every table: no unknown keys, no conversion of types, no NaN
-STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
 # ---- tables -----------------------------------------------------------------------------------------
-
-
-class Table(BaseModel):
-    """A table of a job file. Unknown keys are errors."""
-
-    model_config = ConfigDict(**STRICT, frozen=True)
 
 
 class SonarTable(Table):
@@ -147,7 +107,7 @@ class SonarTable(Table):
     """
 
     sonar: Annotated[str, Field(description=SONAR)]
-    name: Annotated[str, Field(pattern=SONAR_NAME, description="arrays and topics have this name")] = None
+    name: Annotated[str, Field(pattern=IDENTIFIER, description="arrays and topics have this name")] = None
     range_m: Annotated[float, Field(gt=0)] = None
     bins: Annotated[int, Field(ge=1, le=MAX_BINS)] = None
     mount: Mount = Field([0.0] * 6)
@@ -249,6 +209,8 @@ class ArraysTable(Table):
 class PicturesTable(Table):
     """Fan images, NPZ files and films, with the options of `sonar-gl render`; `counts` changes those of the sonars."""
 
+    REPLACED: ClassVar = REPLACED_BY_COUNTS
+
     formats: Annotated[list[Literal["png", "npz", "mp4"]], Field(min_length=1)] = Field(["png"])
     height: Annotated[int, Field(ge=16, le=8192)] = 800
     counts: CountsChanges = Field({})
@@ -278,6 +240,8 @@ class CocoTable(Table):
     Bodies of fewer than `min_area` pixels have no annotation; None for no such bound. Masks keep them.
     """
 
+    REPLACED: ClassVar = REPLACED_BY_COUNTS
+
     height: Annotated[int, Field(ge=16, le=8192)] = 512
     min_area: Annotated[int, Field(ge=1)] = None
     counts: CountsChanges = Field({})
@@ -288,6 +252,8 @@ class RosTable(Table):
 
     `counts` changes those of the sonars.
     """
+
+    REPLACED: ClassVar = REPLACED_BY_COUNTS
 
     image_height: Annotated[int, Field(ge=0, le=8192)] = 0
     y_sign: Literal["port", "starboard"] = "port"
@@ -314,7 +280,9 @@ class Job(Table):
     folder : folder of the job file; relative paths in the job start there
     """
 
-    name: Annotated[str, Field(pattern=JOB_NAME, description="the store has it as its title")] = "batch"
+    NOT_IN_FILES: ClassVar = LOCATION_KEYS
+
+    name: Annotated[str, Field(pattern=WORD, description="the store has it as its title")] = "batch"
     seed: Annotated[int, Field(ge=0)] = 0
     tolerance: Annotated[float, Field(ge=0.001, le=0.5)] = 0.01
     scenes: Names
@@ -367,7 +335,7 @@ class Job(Table):
         """Return the scene, sonar and pose files that the job names."""
         scenes = [split_arguments(name)[0] for name in self.scenes]
         names = [*scenes, *(split_sonar(table.sonar)[0] for table in self.sonars)]
-        names += [str(table.get("file", "")) for table in self.poses]
+        names += [name for table in self.poses if isinstance(name := table.get("file"), str)]
         return [path for name in names if name and (path := self.path(name)).is_file()]
 
 
@@ -383,110 +351,15 @@ def read_job(path) -> Job:
     data = read_toml(path, "the job file")
     for key in LOCATION_KEYS:
         if key in data:
-            hint = nearest_names(key, _known_keys(Job, ()))
+            hint = nearest_names(key, known_keys(Job))
             raise Error(f"{path}: the job: unknown key (got {key!r}; {hint})")
     try:
         job = Job.model_validate(data | {"where": str(path), "folder": str(path.resolve().parent)})
     except ValidationError as why:
-        raise job_error(why, Job, str(path)) from None
+        raise table_error(why, Job, str(path), whole="the job") from None
     if job.coco is not None and job.labels is None:
         raise Error(f"{path}: coco needs labels (got none; add a line [labels])")
     return job
-
-
-def split_sonar(text: str) -> tuple[str, str]:
-    """Return the name of a sonar's file, or of a preset, and what follows it: a table's name, or changes of fields.
-
-    >>> split_sonar("mine.toml#deep"), split_sonar("p900-45,receive_taper=hamming")
-    (('mine.toml', '#deep'), ('p900-45', ',receive_taper=hamming'))
-    """
-    found = re.search(r"#|,\s*\w+\s*=", text)
-    at = len(text) if found is None else found.start()
-    return text[:at], text[at:]
-
-
-# ---- errors and names -------------------------------------------------------------------------------
-
-
-def job_error(
-    why: ValidationError, kind: type, file: str, table: tuple = (), whole: str = "the job"
-) -> Error:
-    """Return one error for all that pydantic found wrong with a table.
-
-    Parameters
-    ----------
-    kind : the pydantic model or dataclass; its fields' descriptions are the cures in the messages
-    file : name of the job file
-    table : keys that lead to the table in the file, such as ("poses", 0)
-    whole : what the file describes
-    """
-    sentences = [_sentence(error, kind, table, whole) for error in why.errors()]
-    return Error(f"{file}: " + "; ".join(dict.fromkeys(sentences)))
-
-
-def _sentence(error: Mapping, kind: type, table: tuple, whole: str) -> str:
-    """Return one error of pydantic in the form: what must hold (what came; cure)."""
-    place = (*table, *error["loc"])
-    if error["type"] == "extra_forbidden":
-        known = _known_keys(kind, error["loc"][:-1])
-        if place[-1] in REPLACED and "counts" in known:
-            return f"{key_path(place)} is no key any more; give {REPLACED[place[-1]]}"
-        hint = f"; {nearest_names(str(place[-1]), known)}" if known else ""
-        return f"{key_path(place[:-1]) or whole}: unknown key (got {str(place[-1])!r}{hint})"
-    if error["type"] == "missing":
-        cure = _cure(kind, error["loc"])
-        return f"{key_path(place)} must be given{cure and f' ({cure})'}"
-    text = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
-    text = text[:1].lower() + text[1:]
-    if error["type"] in LENGTHS:
-        text = LENGTHS[error["type"]].format(**error["ctx"])
-    elif error["type"] == "string_pattern_mismatch":
-        text = PATTERNS[error["ctx"]["pattern"]]
-    got, cure = error["input"], _cure(kind, error["loc"])
-    if error["type"] in TABLES:
-        text, known = "should be a table", _known_keys(kind, error["loc"])
-        cure = f"its keys are {', '.join(known)}" if known else cure
-    if "(got " in text or not error["loc"]:
-        return f"{key_path(place)}: {text}"
-    if error["type"] == "list_type" and isinstance(got, dict):
-        cure = f"write [[{key_path(place)}]], since there may be several"
-    elif error["type"] == "list_type" and isinstance(got, str) and not cure:  # one name, of several
-        cure = f"write {json.dumps([got[:80]], ensure_ascii=False)}"
-    got = f"a table of {', '.join(map(str, got))}" if isinstance(got, dict) else repr(got)[:80]
-    return f"{key_path(place)}: {text} (got {got}{cure and '; '}{cure})"
-
-
-def _kind_at(kind: type, place: Iterable) -> type | None:
-    """Return the type of the table at a place, as far as the types say."""
-    for key in place:
-        if isinstance(key, int) or not hasattr(kind, "model_fields"):
-            continue
-        field = kind.model_fields.get(key)
-        inner = [] if field is None else [field.annotation, *getattr(field.annotation, "__args__", ())]
-        found = [t for t in inner if isinstance(t, type) and issubclass(t, BaseModel)]
-        kind = found[0] if found else None
-    return kind
-
-
-def _known_keys(kind: type, place: Iterable) -> list[str]:
-    """Return the keys of the table at a place, as far as the types say."""
-    return [key for key in getattr(_kind_at(kind, place), "model_fields", ()) if key not in LOCATION_KEYS]
-
-
-def _cure(kind: type, place: tuple) -> str:
-    """Return the description of the field that a place is in, or ''."""
-    names = [k for k, key in enumerate(place) if isinstance(key, str)]
-    table = _kind_at(kind, place[: names[-1]]) if names else None
-    field = getattr(table, "__pydantic_fields__", {}).get(place[names[-1]]) if names else None
-    return getattr(field, "description", None) or ""
-
-
-def key_path(place: Iterable) -> str:
-    """Return a path of keys as in the file, such as sonars[1].mount; entries are counted from 0."""
-    out = ""
-    for key in place:
-        out += f"[{key}]" if isinstance(key, int) else f".{key}" if out else str(key)
-    return out
 
 
 def check_keys(kind: type, table: Mapping, where: str, also: Iterable[str] = ()) -> None:

@@ -92,11 +92,12 @@ class Batch:
 def open_simulators(batch: Batch, scene: int, stack: ExitStack) -> dict[str, Simulator]:
     """Open a simulator for each sonar, all with one OpenGL context."""
     requests, shared, simulators = batch.requests, batch.requests.scene(scene), {}
-    settings = {"tolerance": requests.job.tolerance, "device": batch.device}
+    tolerance, device = requests.job.tolerance, batch.device
     for name, sonar in requests.sonars.items():
         shared = simulators[name] = stack.enter_context(
-            Simulator(shared, sonar, requests.acoustics, **settings)
+            Simulator(shared, sonar, requests.acoustics, tolerance=tolerance, device=device)
         )
+        device = None  # the engine of the first draws for all
     return simulators
 
 

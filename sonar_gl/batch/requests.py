@@ -14,7 +14,7 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics, check_moved
 from sonar_gl.acoustics.water import Water
-from sonar_gl.batch.job import Job, SonarTable, build, check_keys, check_patterns, split_sonar
+from sonar_gl.batch.job import Job, SonarTable, build, check_keys, check_patterns
 from sonar_gl.batch.trajectories import FileTrajectory, RandomViews, Trajectory, build_trajectory
 from sonar_gl.core.checks import check_choice, shown
 from sonar_gl.core.errors import Error, errors_at
@@ -32,7 +32,7 @@ from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar, too_short_step_s
-from sonar_gl.sonar.sonar_files import load_sonar
+from sonar_gl.sonar.sonar_files import load_sonar, split_sonar
 
 # of random numbers; never renumber: the bytes of data sets would change
 VARY_STREAM, NOISE_STREAM, VIEWS_STREAM = 101, 102, 103
@@ -161,8 +161,8 @@ class BatchRequests(Sequence):
 
     def _load_trajectory(self, index: int) -> Trajectory:
         table = dict(self.job.poses[index])
-        if "file" in table:
-            table["file"] = str(self.job.path(str(table["file"])))
+        if isinstance(table.get("file"), str):  # of others the trajectory says what is wrong
+            table["file"] = str(self.job.path(table["file"]))
         if table.get("kind") == "random_views":
             table.setdefault("seed", self._views_seed(index))
         return build_trajectory(table, self.job.where, index)

@@ -17,11 +17,12 @@ import numpy as np
 from pydantic import AfterValidator, Field, Strict, ValidationError
 from pydantic.dataclasses import dataclass
 
-from sonar_gl.batch.job import METRES, RADIANS, STRICT, check_keys, job_error, key_path
+from sonar_gl.batch.job import METRES, RADIANS, check_keys
 from sonar_gl.core.checks import check_choice
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import check_kind_of_file
 from sonar_gl.core.poses import pose, read_poses
+from sonar_gl.core.toml_tables import STRICT, key_path, table_error
 
 MAX_COORDINATE_M = 1e8  # also of lengths; northings of UTM reach 1e7
 MAX_PINGS = 10**9
@@ -417,10 +418,12 @@ def build_trajectory(table: Mapping, file: str, index: int = 0) -> Trajectory:
             check_choice("key", key, {"kind", "scenes", *known}, where)
     kind = settings.pop("kind", None)
     if not isinstance(kind, str) or kind not in KINDS:
-        raise Error(f"{where}: kind must be one of {', '.join(KINDS)} (got {kind!r})")
+        raise Error(
+            f"{where}: kind must be one of {', '.join(KINDS)} (got {'none' if kind is None else repr(kind)})"
+        )
     settings.pop("scenes", None)
     check_keys(KINDS[kind], settings, where, also=("scenes",))
     try:
         return KINDS[kind](**settings)
     except ValidationError as why:
-        raise job_error(why, KINDS[kind], file, place) from None
+        raise table_error(why, KINDS[kind], file, place) from None

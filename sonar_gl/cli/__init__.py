@@ -14,6 +14,7 @@ _load, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submodules=[
         "batch",
+        "batch_compilation",
         "doctor",
         "driver_report",
         "emulate",
@@ -25,7 +26,6 @@ _load, __dir__, __all__ = lazy_loader.attach(
         "system_checks",
         "verify",
         "view",
-        "warm_up_batch",
     ],
 )
 

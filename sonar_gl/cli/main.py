@@ -14,7 +14,7 @@ import click
 from sonar_gl import cli
 from sonar_gl._version import __version__
 from sonar_gl.cli.command_group import CommandGroup
-from sonar_gl.cli.options import DEVICE, ENGINE, LIVE_OPTIONS, PathText, option, ping_options
+from sonar_gl.cli.options import DEVICE, ENGINE, LIVE_OPTIONS, PathText, check_device, option, ping_options
 from sonar_gl.cli.output import echo
 from sonar_gl.core.atomic_file import check_output_file
 from sonar_gl.core.errors import Error
@@ -184,6 +184,7 @@ Ctrl-C.
     "--device",
     type=click.IntRange(min=0),
     multiple=True,
+    callback=check_device,
     show_default="the variable SONAR_GL_DEVICE, or 0",
     help="Index of an OpenGL device (`sonar-gl doctor` lists them); may be repeated: processes take them in turn.",
 )

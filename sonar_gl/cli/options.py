@@ -103,6 +103,25 @@ def _set_variable(ctx, parameter, value):
         ctx.with_resource(_variable(f"SONAR_GL_{parameter.name.upper()}", str(value)))
 
 
+def check_device(_ctx, parameter, value):
+    """Return the device or devices of --device; an `Error` beside the engine `cpu`, which would draw on none of them.
+
+    The engine is that of the variable here, since ENGINE is eager: `--engine` has set it, wherever it stands.
+    """
+    if value in (None, ()) or os.environ.get("SONAR_GL_ENGINE", "").strip() != "cpu":
+        return value
+    got = value if isinstance(value, int) else value[0]
+    raise Error(
+        f"{parameter.opts[0]} must not be given with the engine cpu, which needs no OpenGL device (got {got}; leave it "
+        "out, or give --engine opengl)"
+    )
+
+
+def _set_device(ctx, parameter, value):
+    """Set the variable of --device for a command that draws with one engine alone."""
+    _set_variable(ctx, parameter, check_device(ctx, parameter, value))
+
+
 DEVICE = {
     "type": click.IntRange(min=0),
     "show_default": "the variable SONAR_GL_DEVICE, or 0",
@@ -112,6 +131,7 @@ DEVICE = {
 ENGINE = {
     "type": click.Choice(ENGINES),
     "show_default": "the variable SONAR_GL_ENGINE, or auto",
+    "is_eager": True,
     "callback": _set_variable,
     "expose_value": False,
 }
@@ -126,7 +146,7 @@ PING_OPTIONS = {
     "water": {"show_default": "the sea at 10 °C"},
     "tolerance": {"type": float, "default": 0.01},
     "engine": ENGINE,
-    "device": DEVICE,
+    "device": {**DEVICE, "callback": _set_device},
     "resource_path": {"multiple": True, "type": PathText()},
     "skip_missing": {"is_flag": True},
     "without": {"multiple": True},

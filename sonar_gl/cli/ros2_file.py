@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
-from sonar_gl.batch.job import Mount, Table, job_error, split_sonar
 from sonar_gl.core.toml import read_toml
+from sonar_gl.core.toml_tables import Mount, Names, Table, table_error
+from sonar_gl.sonar.sonar_files import split_sonar
 
-TopicName = str | Literal[False]
+
+def _check_topic(value):
+    if value is not False and not isinstance(value, str):
+        raise ValueError("should be the name of a topic, or false for none")
+    return value
+
+
+def _text_like(example: str):
+    """Return the type of an option of several settings, which is one text here, too; tables are those of jobs."""
+    return Annotated[str, Field(description=f'give text as on the command line, such as "{example}"')]
+
+
+TopicName = Annotated[Any, BeforeValidator(_check_topic)]
 Port = Annotated[int, Field(ge=0, le=65535)]
 
 
@@ -73,15 +86,17 @@ class Ros2File(Table):
     sonar: str = None
     range: float = None
     bins: int = None
-    pose: str = None
+    pose: _text_like("0 0 -1 0 0 0") = None
     poses: str = None
     profile: Literal["ideal", "demarco2015", "physical"] = None
-    acoustics: str = None
-    water: str = None
-    noise: str = None
-    counts: str = None
+    acoustics: _text_like("tvg_k=30,multipath=coherent") = None
+    water: _text_like("temperature_c=4,salinity_psu=8") = None
+    noise: _text_like("physical,looks=2") = None
+    counts: _text_like("law=db,low_db=-50") = None
     tolerance: float = None
     seed: Annotated[int, Field(ge=0)] = None
+    only: Names = None
+    without: Names = None
     surface: float = None
     rate: float = None
     duration: Annotated[float, Field(gt=0)] = None
@@ -120,7 +135,7 @@ def read_ros2_file(path) -> Ros2File:
     try:
         found = Ros2File.model_validate(data)
     except ValidationError as why:
-        raise job_error(why, Ros2File, str(path), whole="the file") from None
+        raise table_error(why, Ros2File, str(path)) from None
     folder, here = path.resolve().parent, {}
     if found.poses is not None:
         here["poses"] = _beside(folder, found.poses)

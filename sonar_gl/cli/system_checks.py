@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.cli import warm_up
+from sonar_gl.cli import compilation
 from sonar_gl.cli.driver_report import MAX_NOISE, sample_noise
 from sonar_gl.cli.output import echo
 from sonar_gl.core.compiled import reason_not_kept
@@ -106,9 +106,9 @@ def check_raster_engine():
 
 def check_compiled_functions():
     """Compile all compiled functions, and check that the machine code can be kept on disk."""
-    compilation = warm_up.compile_everything(partial(echo, err=True))
-    folder = warm_up.cache_folder()
-    detail = f"{compilation.n_functions}; {compilation.n_compiled} compiled now, {compilation.seconds:.0f} s"
+    done = compilation.compile_everything(partial(echo, err=True))
+    folder = compilation.cache_folder()
+    detail = f"{done.n_functions}; {done.n_compiled} compiled now, {done.seconds:.0f} s"
     reason = reason_not_kept()
     if folder is not None and os.access(folder, os.W_OK) and reason is None:
         return True, f"{detail}; kept in {folder}", ""

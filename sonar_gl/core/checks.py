@@ -99,6 +99,21 @@ def check_kind(name: str, value, kind, cure: str):
         raise Error(f"{name} must be {article} {wanted} (got {type(value).__name__}; {cure})")
 
 
+def is_iterable(value) -> bool:
+    """Return whether `value` holds several things, or can: a 0-d array of NumPy has the method for it, but holds one.
+
+    >>> is_iterable([]), is_iterable(np.zeros(0)), is_iterable(np.array(3.0)), is_iterable(3.0)
+    (True, True, False, False)
+    """
+    return isinstance(value, Iterable) and not (isinstance(value, np.ndarray) and value.ndim == 0)
+
+
+def check_iterable(name: str, value, cure: str):
+    """Raise an `Error` unless `value` holds several things, as `is_iterable` says."""
+    if not is_iterable(value):
+        raise Error(f"{name} must be an Iterable (got {type(value).__name__}; {cure})")
+
+
 def check_function(name: str, value, argument: str):
     """Raise an `Error` unless `value` can be called, and does its work then; `argument` says with what."""
     if not callable(value):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -122,3 +123,8 @@ def _check_not_git_lfs(path) -> None:
 def read_error_text(why: OSError) -> str:
     """Return why a file could not be read, for an error message."""
     return LINK_LOOP if why.errno == errno.ELOOP else (why.strerror or str(why)).lower()
+
+
+def is_utf_16(data: bytes) -> bool:
+    """Return whether a file of text begins as UTF-16 does: by its mark of byte order, or a letter of two bytes."""
+    return data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) or 0 in data[:2]

@@ -7,6 +7,7 @@ from dataclasses import fields
 from types import NoneType
 from typing import get_args, get_type_hints
 
+from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error, nearest_names
 
 SWITCHES = {
@@ -46,6 +47,7 @@ def parse_fields(
     Error
         if a name is unknown or given twice, or its value is of another type.
     """
+    check_kind(what, text, str, "such as 'key=value,key=value'")
     hints = get_type_hints(cls)
     kinds = {
         f.name: get_args(hints[f.name]) or (hints[f.name],) for f in fields(cls) if f.name not in without
@@ -57,6 +59,10 @@ def parse_fields(
         if may_be_preset and key in presets:
             preset = key
             continue
+        if not item.strip() and "," in text:
+            raise Error(
+                f"{location}: commas must stand between two items (got one with none beside it; leave it out)"
+            )
         if key not in kinds:
             known = [*kinds, *presets] if may_be_preset else kinds
             hint = nearest_names(key, known)

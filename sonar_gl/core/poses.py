@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 
 from sonar_gl.core.checks import frozen_array, shown
 from sonar_gl.core.errors import Error
-from sonar_gl.core.input_files import check_kind_of_file, read_error_text
+from sonar_gl.core.input_files import check_kind_of_file, is_utf_16, read_error_text
 from sonar_gl.core.warn import warn_caller
 
 TURN_RAD = 2 * np.pi + 1e-6  # with room for rounded numbers
@@ -178,8 +179,11 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
                 last = rows.numbers[-1]
     except OSError as why:
         raise Error(f"{path}: the file of poses must be readable ({read_error_text(why)})") from None
-    except UnicodeDecodeError:
-        raise Error(f"{path}: the file of poses must be text in UTF-8") from None
+    except UnicodeDecodeError as why:
+        got = "UTF-16" if is_utf_16(why.object) else f"byte 0x{why.object[why.start]:02x}"
+        raise Error(
+            f"{path}: the file of poses must be text in UTF-8 (got {got}; save it as UTF-8)"
+        ) from None
     if not blocks:
         raise Error(f"{path}: must hold at least one pose, under the header {','.join(COLUMNS)} (got none)")
     count = sum(map(len, blocks))
@@ -361,13 +365,15 @@ def _column_indices(location: str, header: list[str]) -> dict[str, int]:
     """Return a dict from the name of each column to its index in a line: COLUMNS, or those with a QUATERNION."""
     has_quaternion = set(QUATERNION) & set(header) and not set(COLUMNS) <= set(header)
     names = (*COLUMNS[:4], *QUATERNION) if has_quaternion else COLUMNS
+    # as of a spreadsheet where the comma is that of decimals
+    cure = "; separate columns by commas" if len(header) == 1 and re.search(r"[;\s]", header[0]) else ""
     others = "" if has_quaternion else f", or {','.join(QUATERNION)} in place of the angles"
     for name in names:
         if header.count(name) != 1:
             what = "more than once" if name in header else "not there"
             raise Error(
                 f"{location}: column {name} is {what}; the first line must name the columns {','.join(names)}{others} "
-                f"(got {shown(','.join(header))})"
+                f"(got {shown(','.join(header))}{cure})"
             )
     return {name: header.index(name) for name in names}
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error
-from sonar_gl.core.input_files import check_kind_of_file, read_error_text
+from sonar_gl.core.input_files import check_kind_of_file, is_utf_16, read_error_text
 
 try:
     import tomllib
@@ -32,28 +33,46 @@ def read_toml(path: Path, what: str, hint: str = "") -> dict:
     """
     check_kind_of_file(path, pipe=True)
     try:
-        found = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as why:
         raise Error(f"{path}: {what} must be readable ({read_error_text(why)})") from None
+    except UnicodeDecodeError as why:
+        line = why.object.count(b"\n", 0, why.start) + 1
+        got = f"byte 0x{why.object[why.start]:02x} in line {line}"
+        raise _encoding_error(path, what, "UTF-16" if is_utf_16(why.object) else got, hint) from None
+    if is_utf_16(text[:2].encode()):  # without a mark of byte order and of ASCII alone, it passes for UTF-8
+        raise _encoding_error(path, what, "UTF-16", hint)
+    try:
+        found = tomllib.loads(text)
     except RecursionError:
         raise _nesting_error(path, what) from None
-    except ValueError as why:  # not TOML (the message names the line), or not UTF-8
+    except ValueError as why:  # the message names the line
         raise Error(f"{path}: {what} must be TOML ({why}{hint and f'; {hint}'})") from None
     if _is_deep(found):
         raise _nesting_error(path, what)
     return found
 
 
+def _encoding_error(path: Path, what: str, got: str, hint: str) -> Error:
+    return Error(f"{path}: {what} must be TOML in UTF-8 (got {got}; {hint or 'save it as UTF-8'})")
+
+
 def toml_text(table: dict) -> str:
     """Return a line `key = value` for each value of a table; those that are None are left out, as TOML has no null.
 
-    table : of numbers, texts, truth values, lists, and tables of such, by bare keys
+    table : of numbers, texts, truth values, lists, and tables of such, by bare keys; raises Error for a text that
+        UTF-8 cannot hold
 
     >>> print(toml_text({"name": "a", "rate_hz": 9e5, "depth_m": None, "counts": {"law": "db", "bits": 8}}), end="")
     name = "a"
     rate_hz = 900000.0
     counts = { law = "db", bits = 8 }
     """
+    for key, value in table.items():
+        if isinstance(value, str) and any("\ud800" <= letter <= "\udfff" for letter in value):
+            raise Error(
+                f"{key} must be text that a file can hold (got {shown(value)}, with half of a letter)"
+            )
     return "".join(f"{key} = {value_text(value)}\n" for key, value in table.items() if value is not None)
 
 

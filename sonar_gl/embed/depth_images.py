@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind, is_whole_number
+from sonar_gl.core.checks import check_kind, is_iterable, is_whole_number
 from sonar_gl.core.errors import Error
 from sonar_gl.embed.camera import Camera
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY
@@ -155,7 +154,7 @@ def _check_reflectivity(value) -> np.ndarray:
 
 def check_body_names(bodies) -> list[str]:
     """Return the names of bodies, that of number 1 first."""
-    if not isinstance(bodies, Iterable) or isinstance(bodies, str):
+    if not is_iterable(bodies) or isinstance(bodies, str):
         raise Error(f"bodies must be a list of names, that of number 1 first (got {type(bodies).__name__})")
     bodies = list(bodies)
     for name in bodies:

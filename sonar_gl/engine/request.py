@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.acoustics.water import Water
-from sonar_gl.core.checks import check_kind, check_number, check_whole_number, shown
+from sonar_gl.core.checks import check_kind, check_number, check_whole_number, is_iterable, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.motion import check_velocity
@@ -102,7 +102,7 @@ class PingRequest:
 def _names(background) -> tuple[str, ...] | None:
     if background is None:
         return None
-    if isinstance(background, str) or not isinstance(background, Iterable):
+    if isinstance(background, str) or not is_iterable(background):
         raise Error(
             f"background must be several names of bodies (got {shown(background)}; make [name] of one)"
         )
@@ -145,14 +145,14 @@ def _next_value(column: Iterator, name: str, number: int):
 
 def several_poses(poses) -> Iterable:
     """Return the poses, or raise an Error if this is not several of them."""
-    if not isinstance(poses, Iterable) or (isinstance(poses, np.ndarray) and poses.ndim == 2):
+    if not is_iterable(poses) or (isinstance(poses, np.ndarray) and poses.ndim == 2):
         raise Error(f"poses must be several poses (got {type(poses).__name__}; make [pose] of one)")
     return poses
 
 
 def _per_ping(values, name: str, poses) -> Iterable:
     """Return one value per ping; an Error if it is one value alone, or of another number."""
-    if not isinstance(values, Iterable) or isinstance(values, (dict, str)):
+    if not is_iterable(values) or isinstance(values, (dict, str)):
         raise Error(f"{name} must be several, one a pose (got {shown(values)})")
     counted = hasattr(values, "__len__") and hasattr(poses, "__len__")
     if counted and len(values) != len(poses):

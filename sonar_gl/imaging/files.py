@@ -15,7 +15,14 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.atomic_file import atomic_write, describe_os_error, write_trial
-from sonar_gl.core.checks import check_file_name, check_kind, check_number, holds_numbers, shown
+from sonar_gl.core.checks import (
+    check_file_name,
+    check_iterable,
+    check_kind,
+    check_number,
+    holds_numbers,
+    shown,
+)
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_is_file
 from sonar_gl.core.npz import read_npz
@@ -230,7 +237,7 @@ def save_animation(path: str | os.PathLike, frames: Iterable[np.ndarray], fps: f
     path = check_file_name(path, (".gif", ".mp4"))
     film = path.suffix.lower()[1:]
     fps = check_fps(fps, film)
-    check_kind("frames", frames, Iterable, "give several pictures, also of a generator")
+    check_iterable("frames", frames, "give several pictures, also of a generator")
     frames = _checked_frames(frames)
     try:
         first = next(frames)

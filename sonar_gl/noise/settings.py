@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from sonar_gl.core.checks import check_fields, check_whole_number, is_number, make_numbers_plain, shown
+from sonar_gl.core.checks import (
+    check_fields,
+    check_kind,
+    check_whole_number,
+    is_number,
+    make_numbers_plain,
+    shown,
+)
 from sonar_gl.core.errors import Error
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.signatures import shown_by_fields
@@ -157,6 +164,7 @@ class Noise:
         >>> Noise.parse("physical,self_noise=off") == Noise(speckle=True, follow_motion=True)
         True
         """
+        check_kind("noise", text, str, "such as 'physical,follow_motion=no'")
         check_moved_amounts(f"noise {text!r}", [item.partition("=")[0].strip() for item in text.split(",")])
         preset, amounts = parse_fields("noise", text, cls, presets=PRESETS)
         return replace(PRESETS[preset or "none"], **amounts)

@@ -119,7 +119,7 @@ def check_engine(engine: str | None) -> str:
     asked, where = (
         (text or "auto", f", by the variable {ENGINE_VARIABLE}") if engine is None else (engine, "")
     )
-    if asked not in ENGINES:
+    if not isinstance(asked, str) or asked not in ENGINES:
         raise Error(f"the engine must be one of {', '.join(ENGINES)} (got {asked!r}{where})")
     return asked
 
@@ -148,12 +148,13 @@ def make_engine(
     Error
         if there is no usable OpenGL where it is asked for, or the arguments contradict each other.
     """
-    if context not in (None, "current") or (context and device is not None):
+    is_known = context is None or (isinstance(context, str) and context == "current")
+    if not is_known or (context is not None and device is not None):
         got = f"{context!r}" if device is None else f"{context!r} and device {device!r}"
         raise Error(f"context must be 'current' without a device, or None (got {got})")
     asked = check_engine(engine)
-    if engine == "cpu" and (context or device is not None):
-        got = f"context {context!r}" if context else f"device {device!r}"
+    if engine == "cpu" and (context is not None or device is not None):
+        got = f"context {context!r}" if context is not None else f"device {device!r}"
         raise Error(f"the cpu engine needs no OpenGL (got {got}; leave it out, or ask for engine 'opengl')")
     if context is not None:
         return opengl.engine.OpenGLEngine(scene, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.core.checks import check_kind, check_whole_number, unknown_body_error
+from sonar_gl.core.checks import check_kind, check_whole_number, is_iterable, unknown_body_error
 from sonar_gl.core.errors import (
     Error,
     MachineError,
@@ -115,7 +115,7 @@ class _Order:
 
 def _several(transports) -> tuple[Transport, ...]:
     """Return the transports; an Error if they are none."""
-    if not isinstance(transports, Iterable):
+    if not is_iterable(transports):
         raise Error(f"transports must be several, as in [DdsTransport()] (got {type(transports).__name__})")
     transports = tuple(transports)
     for one in transports:

@@ -7,26 +7,27 @@ import html
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
+from sonar_gl.core.checks import shown
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.core.errors import Error, errors_at, nearest_names, similar_names
 from sonar_gl.core.input_files import check_is_file, check_no_link_loop
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import mesh_files, mujoco_model
 from sonar_gl.scene.mujoco_model import convert_mujoco_model, is_mujoco_model
-from sonar_gl.scene.primitives import Shape, rotation_and_stretch, transform
+from sonar_gl.scene.placed_shapes import PlacedShapes
+from sonar_gl.scene.primitives import Shape, transform
 from sonar_gl.scene.pyrender_scene import convert_pyrender_scene, is_pyrender_scene
-from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Body, Scene, body_at
+from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Body, Scene
 from sonar_gl.scene.sdf.reader import read_sdf
 from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sdf.xacro import split_arguments
 
 SDF_SUFFIXES = (".sdf", ".world", ".urdf", ".xacro")
-SAME_SIZE_M = 1e-6  # copies of a mesh that differ in no vertex by more share one
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 SUFFIXES = (*SDF_SUFFIXES, *mujoco_model.SUFFIXES, *mesh_files.SUFFIXES)
 
@@ -101,6 +102,11 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     path, bundled = Path(split_arguments(str(what))[0]), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
+    if isinstance(what, str) and re.match("[a-z]+://", what):
+        raise Error(
+            f"a scene must be a bundled name or a path (got the address {shown(what)}; give the path of its file or "
+            "folder on this machine)"
+        )
     check_no_link_loop(path)
     if (path / "model.sdf").is_file() or (path / "model.config").is_file():
         return read_sdf(path, resource_paths, skip_missing)
@@ -156,10 +162,12 @@ def _read_mesh_scene(path: Path) -> Scene:
     z_up = mesh_files.Z_UP_FROM_Y_UP if is_turned(str(path)) else np.eye(4)
     parts = mesh_files.read_mesh_parts(path)
     names = _numbered([part.node for part in parts]) if len(parts) > 1 else [path.stem]
+    turned = {part.geometry: transform(part.shape, z_up) for part in parts}
     with errors_at(str(path)):
+        make = PlacedShapes().body
         bodies = [
-            Body(name, shape.mesh, pose, normals=shape.normals)
-            for name, (shape, pose) in zip(names, _shapes_and_poses(parts, z_up), strict=True)
+            make(name, turned[part.geometry], z_up @ part.matrix @ z_up.T)
+            for name, part in zip(names, parts, strict=True)
         ]
         scene = Scene(bodies, name=path.stem)
     warn_caller(
@@ -167,28 +175,6 @@ def _read_mesh_scene(path: Path) -> Scene:
         "or by an SDF file that includes the mesh)"
     )
     return scene
-
-
-def _shapes_and_poses(parts, z_up: np.ndarray) -> Iterator[tuple[Shape, np.ndarray]]:
-    """Yield shape and pose of the body of each part of a mesh file; z_up : (4, 4), turns the file's axes.
-
-    The pose is that of the node, and its scale is in the shape. Copies of a geometry that have one size share a shape,
-    of which pings then keep one in memory.
-    """
-    turned, stretched = {}, {}
-    for part in parts:
-        if part.geometry not in turned:
-            shape = transform(part.shape, z_up)
-            turned[part.geometry] = shape, np.abs(shape.mesh.vertices).max()
-        shape, reach_m = turned[part.geometry]
-        pose = z_up @ part.matrix @ z_up.T
-        pose[:3, :3], stretch = rotation_and_stretch(pose[:3, :3])
-        size = tuple(np.round(stretch * (reach_m / SAME_SIZE_M)).flat)
-        if (part.geometry, size) not in stretched:
-            matrix = np.eye(4)
-            matrix[:3, :3] = stretch
-            stretched[part.geometry, size] = transform(shape, matrix)
-        yield stretched[part.geometry, size], pose
 
 
 def _numbered(names: list[str]) -> list[str]:
@@ -211,10 +197,10 @@ def _numbered(names: list[str]) -> list[str]:
 
 def _convert_trimesh_scene(scene) -> Scene:
     """Return a scene with one body for each node of a trimesh.Scene that has faces, sorted by name."""
-    bodies = []
+    bodies, make = [], PlacedShapes().body
     for node in sorted(scene.graph.nodes_geometry):
         matrix, key = scene.graph[node]
         mesh = scene.geometry[key]
         if hasattr(mesh, "faces"):  # neither points nor lines
-            bodies.append(body_at(str(node), Shape(mesh, None), matrix))
+            bodies.append(make(str(node), Shape(mesh, None), matrix))
     return Scene(bodies)

@@ -13,8 +13,9 @@ import numpy as np
 
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import pip_install
+from sonar_gl.scene.placed_shapes import PlacedShapes
 from sonar_gl.scene.primitives import Shape, concatenate, make_shape, transform
-from sonar_gl.scene.scene import Scene, body_at
+from sonar_gl.scene.scene import Scene
 
 NEW_PYOPENGL = 3, 1, 6  # 3.1.0 cannot pass arrays in Python 3.14
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6  # glTF's numbers of the primitive modes; None is the first
@@ -33,11 +34,13 @@ def convert_pyrender_scene(scene) -> Scene:
     # scene.mesh_nodes is a set, whose order changes from run to run; pyrender's graph has the order of adding
     graph = getattr(scene, "_digraph", None)
     nodes = list(graph.nodes) if graph is not None else sorted(scene.mesh_nodes, key=lambda n: str(n.name))
-    bodies, names = [], set()
+    bodies, names, joined, make = [], set(), {}, PlacedShapes().body
     for node in nodes:
         mesh = getattr(node, "mesh", None)
-        shapes = [s for primitive in mesh.primitives for s in _instances(primitive)] if mesh else []
-        if not shapes:
+        if id(mesh) not in joined:
+            shapes = [s for primitive in mesh.primitives for s in _instances(primitive)] if mesh else []
+            joined[id(mesh)] = concatenate(shapes) if shapes else None
+        if joined[id(mesh)] is None:
             continue
         name = stem = str(node.name or mesh.name or "mesh")
         count = 1
@@ -45,7 +48,7 @@ def convert_pyrender_scene(scene) -> Scene:
             count += 1
             name = f"{stem}_{count}"
         names.add(name)
-        bodies.append(body_at(name, concatenate(shapes), scene.get_pose(node)))
+        bodies.append(make(name, joined[id(mesh)], scene.get_pose(node)))
     return Scene(bodies, name=str(getattr(scene, "name", None) or "scene"))
 
 

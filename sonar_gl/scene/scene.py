@@ -12,14 +12,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sonar_gl.core.checks import ArraysStayReadOnly, check_kind, check_number, frozen_array, shown
+from sonar_gl.core.checks import (
+    ArraysStayReadOnly,
+    check_iterable,
+    check_kind,
+    check_number,
+    frozen_array,
+    is_iterable,
+    shown,
+)
 from sonar_gl.core.errors import Error, errors_at, nearest_of_many
 from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.core.poses import MAX_POSITION_M, check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.plume import Bubbles
-from sonar_gl.scene.primitives import Shape, Triangles, rotation_and_stretch, transform
+from sonar_gl.scene.primitives import Triangles
 from sonar_gl.scene.sonar_sensor import SonarSensor
 from sonar_gl.sonar.sonar import Sonar
 
@@ -162,7 +170,7 @@ class Body(ArraysStayReadOnly):
         if faces.min() < 0 or faces.max() >= len(vertices):
             got = faces.min() if faces.min() < 0 else faces.max()
             raise Error(f"{location}: faces must name vertices 0..{len(vertices) - 1} (got {got})")
-        _warn_of_unit(self.surface)
+        warn_of_unit(self.surface)
         return len(vertices), len(faces)
 
     def _apply_material(self, location: str):
@@ -191,7 +199,7 @@ class Body(ArraysStayReadOnly):
 NO_OTHER_UNIT = ("", "none", "metre", "metres")
 
 
-def _warn_of_unit(mesh) -> None:
+def warn_of_unit(mesh) -> None:
     """Warn of a mesh of trimesh that states another unit than metres.
 
     It is not converted: trimesh keeps the statement when a mesh is scaled by hand.
@@ -211,19 +219,6 @@ def _warn_of_unit(mesh) -> None:
             f"a mesh states the unit {shown(unit)}, and its coordinates are taken as metres (convert it, by trimesh's "
             "convert_units('m') of mesh or scene; if it is in metres, set mesh.units = 'm')"
         )
-
-
-def body_at(name: str, shape: Shape, world_from_body) -> Body:
-    """Return a body at an affine (4, 4) transform; scale, shear and mirroring go into the vertices."""
-    pose = np.array(world_from_body, np.float64)
-    linear = pose[:3, :3].copy()
-    is_rigid = np.allclose(linear @ linear.T, np.eye(3), atol=1e-6) and np.linalg.det(linear) > 0
-    if not is_rigid and np.isfinite(linear).all():  # of others `Body` says what is wrong
-        matrix = np.eye(4)
-        pose[:3, :3], matrix[:3, :3] = rotation_and_stretch(linear)
-        _warn_of_unit(shape.mesh)  # which the transformed one does not state
-        shape = transform(shape, matrix)
-    return Body(name, shape.mesh, pose, normals=shape.normals)
 
 
 def hull_text(model: str) -> str:
@@ -288,11 +283,11 @@ class Scene(ArraysStayReadOnly):
         sensors: Iterable[SonarSensor] = (),
         models: dict | None = None,
     ):
-        things = list(bodies) if isinstance(bodies, Iterable) and not isinstance(bodies, str) else [bodies]
+        things = list(bodies) if is_iterable(bodies) and not isinstance(bodies, str) else [bodies]
         bodies, plumes = _bodies_and_plumes(things)
         pose = None if sonar_pose is None else check_pose(sonar_pose, "sonar_pose")
         check_kind("the name of a scene", name, str, 'the stem of file names, such as "harbour"')
-        check_kind("sensors of a scene", sensors, Iterable, "those of another scene are `scene.sensors`")
+        check_iterable("sensors of a scene", sensors, "those of another scene are `scene.sensors`")
         models = {} if models is None else models
         check_kind("models of a scene", models, dict, "those of another scene are `scene.models`")
         for model in models:
@@ -340,7 +335,7 @@ class Scene(ArraysStayReadOnly):
         >>> [body.name for body in with_wood.bodies if body.material == "wood"]
         ['box']
         """
-        check_kind("bodies of a scene", bodies, Iterable, "give several, as in scene.with_bodies([body])")
+        check_iterable("bodies of a scene", bodies, "give several, as in scene.with_bodies([body])")
         bodies = list(bodies)
         for body in bodies:
             check_kind("each of the bodies", body, Body, "the plumes of the scene stay")
@@ -348,7 +343,7 @@ class Scene(ArraysStayReadOnly):
 
     def with_more(self, bodies: Iterable[Body | Bubbles]) -> Scene:
         """Return the same scene with more bodies and plumes, after its own."""
-        check_kind("bodies to add", bodies, Iterable, "give several, as in scene.with_more([body])")
+        check_iterable("bodies to add", bodies, "give several, as in scene.with_more([body])")
         added, added_plumes = _bodies_and_plumes(bodies)
         # the bodies of this scene are not checked again but for their names
         out = self._with(())

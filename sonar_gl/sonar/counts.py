@@ -120,7 +120,7 @@ class Counts:
         for key in values:
             check_choice("key", key, known, "counts")
         gains = {"gain_db": 0.0, "gain_percentile": None}
-        reset = gains if not gains.keys().isdisjoint(values) else {}
+        reset = gains if any(values.get(key) is not None for key in gains) else {}
         out = replace(self, **{**reset, **values})
         for law, keys in LAWS.items():
             for key in keys:

@@ -49,7 +49,7 @@ def load_sonar(what: str | Path) -> Sonar:
     stem, mark, table = text.rpartition(".toml#")
     path = Path(stem + ".toml") if mark and not Path(text).exists() else Path(text)
     check_no_link_loop(path)
-    if not path.is_file() and (path.suffix != ".toml" or not path.exists()):
+    if not path.exists() or (path.is_dir() and path.suffix != ".toml"):
         raise _no_sonar_error(what, path, known)
     tables = _read_tables(path)
     if path != Path(text):  # the text names a table
@@ -62,6 +62,17 @@ def load_sonar(what: str | Path) -> Sonar:
     else:
         (table,) = tables
     return _sonar_from_table(f"{path} [{table}]", table, tables[table])
+
+
+def split_sonar(text: str) -> tuple[str, str]:
+    """Return the name of a sonar's file, or of a preset, and what follows it: a table's name, or changes of fields.
+
+    >>> split_sonar("mine.toml#deep"), split_sonar("p900-45,receive_taper=hamming")
+    (('mine.toml', '#deep'), ('p900-45', ',receive_taper=hamming'))
+    """
+    found = re.search(r"#|,\s*\w+\s*=", text)
+    at = len(text) if found is None else found.start()
+    return text[:at], text[at:]
 
 
 def _changed(what: str, text: str) -> Sonar:
@@ -84,6 +95,8 @@ def _no_sonar_error(what: str | Path, path: Path, known: Collection[str]) -> Err
         hint = nearest_names(text.casefold(), known)
         if Path(f"{text}.toml").is_file():
             hint = f"write {text}.toml for the file"
+        elif "=" in text:
+            hint += "; changes of its fields follow a comma each, as in p900-45,n_beams=64,n_bins=400"
         elif path.suffix:
             hint += "; a sonar's file must end in .toml"
         return Error(f"unknown sonar (got {text!r}; {hint})")
@@ -103,10 +116,12 @@ def save_sonar(path: str | Path, sonar: Sonar) -> None:
     Raises
     ------
     Error
-        if the path has another ending, or the file cannot be written.
+        if the path has another ending, or the file cannot be written, or cannot hold a text of the sonar.
     """
     path = check_file_name(path, (".toml",))
-    text = sonar_file_text(sonar)
+    check_kind("sonar", sonar, Sonar, "such as sonar_gl.load_sonar('p900-45')")
+    with errors_at(str(path)):
+        text = sonar_file_text(sonar)
     with atomic_write(path) as beside:
         beside.write_text(text, encoding="utf-8")
 

@@ -1697,7 +1697,16 @@ BAD = [
     ("seed = 5", "where = 'x'", "the job: unknown key (got 'where'; did you mean 'water'"),
     ('preset = "physical"', 'prest = "physical"', "noise: unknown key (got 'prest'; did you mean 'preset'?)"),
     ('kind = "sector"', 'kid = "sector"', "poses[0]: unknown key (got 'kid'; did you mean 'kind'"),
-    ('kind = "sector"\n', "", "poses[0]: kind must be one of trajectory, lawnmower"),
+    (
+        'kind = "sector"\n',
+        "",
+        "poses[0]: kind must be one of trajectory, lawnmower, orbit, sector, random_views (got none)",
+    ),
+    (
+        "[[vary.bodies]]",
+        '[[poses]]\nkind = "trajectory"\nfile = ["dive.csv"]\n[[vary.bodies]]',
+        "poses[1].file: should be a valid string (got ['dive.csv'])",
+    ),
     (
         'name = "level"',
         'name = "front-left"',

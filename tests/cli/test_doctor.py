@@ -13,7 +13,7 @@ import trimesh
 from click.testing import CliRunner
 
 import sonar_gl
-from sonar_gl.cli import doctor, system_checks, warm_up
+from sonar_gl.cli import compilation, doctor, system_checks
 from sonar_gl.cli import main as cli
 from sonar_gl.cli.doctor import examine
 from sonar_gl.core.errors import Error
@@ -36,8 +36,8 @@ def well():
 @pytest.fixture
 def nothing_to_compile(monkeypatch):
     """To compile everything, or to find that it is, takes seconds; `well` has done it."""
-    done = warm_up.Compilation(300, 0, 0.0)
-    monkeypatch.setattr(warm_up, "compile_everything", lambda *_: done)
+    done = compilation.Compilation(300, 0, 0.0)
+    monkeypatch.setattr(compilation, "compile_everything", lambda *_: done)
 
 
 def test_all_is_well_where_these_tests_run(well):
@@ -223,12 +223,12 @@ def test_missing_folder_is_told(monkeypatch, nothing_to_compile):
 def test_compiled_functions_are_counted_with_the_time_and_the_folder(well):
     detail = well["compiled functions"].detail
     assert re.fullmatch(r"\d+; \d+ compiled now, \d+ s; kept in .+", detail)
-    assert detail.startswith(f"{len(warm_up.compiled_functions())}; ")
+    assert detail.startswith(f"{len(compilation.compiled_functions())}; ")
 
 
 @pytest.mark.slow
 def test_what_is_compiled_once_is_read_from_disk(well):
-    assert warm_up.compile_everything().n_compiled == 0
+    assert compilation.compile_everything().n_compiled == 0
 
 
 def test_cache_that_cannot_be_kept_is_told(monkeypatch, nothing_to_compile):
@@ -252,10 +252,10 @@ def test_every_compiled_function_is_compiled(tmp_path):
     """
     code = """
 import sonar_gl as sg
-from sonar_gl.cli import warm_up
+from sonar_gl.cli import compilation
 reports = []
-done = warm_up.compile_everything(reports.append, processes=1)
-functions = warm_up.compiled_functions()
+done = compilation.compile_everything(reports.append, processes=1)
+functions = compilation.compiled_functions()
 print(done.n_functions, done.n_compiled, len(reports) > 3, *(n for n, f in functions.items() if not f.signatures))
 uncounted = [f for f in functions.values() if f.targetoptions.get("_nrt") is False]
 returned = [str(one.signature.return_type) for f in uncounted for one in f.overloads.values()]

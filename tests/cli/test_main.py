@@ -848,7 +848,9 @@ def test_sonar_files_that_make_no_sense():
         Path("bad.toml").write_text(SONAR.replace(*change))
         assert refused(sonar="bad.toml") == message
     Path("bad.toml").write_bytes(b"name = '\xff'")
-    assert refused(sonar="bad.toml").startswith("bad.toml: the sonar's file must be TOML ('utf-8' codec ")
+    assert refused(sonar="bad.toml") == (
+        "bad.toml: the sonar's file must be TOML in UTF-8 (got byte 0xff in line 1; save it as UTF-8)"
+    )
     assert refused(sonar="none.toml") == (
         f"none.toml: the sonar's file must exist (got none there; paths start at {Path.cwd()})"
     )
@@ -997,6 +999,26 @@ def test_options_that_do_not_go_together():
         assert refused(*options) == message
 
 
+@pytest.mark.parametrize("command", ["render", "plan", "verify", "view", "ros2", "batch"])
+def test_a_device_is_refused_where_the_engine_draws_on_none(command, monkeypatch):
+    told = (
+        "--device must not be given with the engine cpu, which needs no OpenGL device (got 1; leave it out, or give "
+        "--engine opengl)"
+    )
+    what = "job.toml" if command == "batch" else "tank.sdf"
+    monkeypatch.setenv("SONAR_GL_ENGINE", "opengl")
+    for options in (("--engine", "cpu", "--device", 1), ("--device", 1, "--engine", "cpu")):
+        assert run(command, what, *options) == (2, "", f"error: {told}\n")
+    monkeypatch.setenv("SONAR_GL_ENGINE", "cpu")
+    assert run(command, what, "--device", 1) == (2, "", f"error: {told}\n")
+
+
+def test_the_variable_of_a_device_does_no_harm_beside_the_engine_cpu(monkeypatch):
+    monkeypatch.setenv("SONAR_GL_DEVICE", "1")
+    render("--engine", "cpu", "--format", "npz")
+    assert ping().meta["engine"] == "cpu"
+
+
 HEADER = "t,x,y,z,roll,pitch,yaw"
 OR_QUATERNIONS = ", or qx,qy,qz,qw in place of the angles"
 
@@ -1015,6 +1037,14 @@ OR_QUATERNIONS = ", or qx,qy,qz,qw in place of the angles"
             "t,x,x,y,z,roll,pitch,yaw\n",
             f"p.csv: line 1: column x is more than once; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
             "(got 't,x,x,y,z,roll,pitch,yaw')",
+        ),
+        *(
+            (
+                HEADER.replace(",", mark) + "\n" + mark.join("0000000") + "\n",
+                f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
+                f"(got {HEADER.replace(',', mark)!r}; separate columns by commas)",
+            )
+            for mark in (";", "\t", " ", "; ")
         ),
         (
             "0,0,0,0,0,0,0\n",
@@ -1056,7 +1086,13 @@ def test_tables_of_poses_that_cannot_be_read():
     Path("folder").mkdir()
     assert refused("--poses", "folder") == "folder: must be a file (got a folder)"
     Path("p.csv").write_bytes(b"t,x\xff\n")
-    assert refused("--poses", "p.csv") == "p.csv: the file of poses must be text in UTF-8"
+    assert refused("--poses", "p.csv") == (
+        "p.csv: the file of poses must be text in UTF-8 (got byte 0xff; save it as UTF-8)"
+    )
+    Path("p.csv").write_text(f"{HEADER}\n0,0,0,0,0,0,0\n", encoding="utf-16")
+    assert refused("--poses", "p.csv") == (
+        "p.csv: the file of poses must be text in UTF-8 (got UTF-16; save it as UTF-8)"
+    )
 
 
 def test_tables_of_poses_go_by_the_names_of_their_columns():

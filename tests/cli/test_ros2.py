@@ -277,6 +277,16 @@ def test_a_wrong_domain_of_the_environment_is_told(transports, monkeypatch):
         ("[topics]\nfan = '/a'", "topics: unknown key (got 'fan'"),
         ("rate = '5'", "rate: should be a valid number (got '5')"),
         ("transport = ['mqtt']", "transport[0]: should be 'dds', 'zenoh' or 'foxglove' (got 'mqtt')"),
+        ("without = 'pylon'", "without: should be a valid list (got 'pylon'; write [\"pylon\"])"),
+        (
+            "[topics]\nimage = true",
+            "topics.image: should be the name of a topic, or false for none (got True)\n",
+        ),
+        (
+            "water = {temperature_c = 4}",
+            "water: should be a valid string (got a table of temperature_c; give text as on the command line, such as "
+            '"temperature_c=4,salinity_psu=8")',
+        ),
         ("mount = [1, 2]", "mount: should have a length of at least 6 (got [1"),
         ("[foxglove]\nport = 70000", "foxglove.port: should be less than or equal to 65535 (got 70000"),
         ("rate = ", "the file of --config must be TOML"),
@@ -289,6 +299,26 @@ def test_mistakes_in_the_file_are_told_with_its_name_and_key(text, why, transpor
     path.write_text(text + "\n")
     found = run("pylon", "--config", str(path))
     assert found.exit_code == 2 and f"error: {path}: {why}" in found.output
+    assert not transports
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "why"),
+    [
+        ('without = ["*"]', (), "--without and --only must leave a body (they leave out all "),
+        ('only = ["wreck"]', (), "got 'wreck'"),
+        (
+            'without = ["wreck"]',
+            ("--without", "*"),
+            "--without and --only must leave a body (they leave out all ",
+        ),
+    ],
+)
+def test_the_file_leaves_out_bodies_unless_the_command_line_does(text, words, why, transports, tmp_path):
+    path = tmp_path / "topics.toml"
+    path.write_text(text)
+    found = run("pylon", "--config", str(path), *words)
+    assert found.exit_code == 2 and why in found.output
     assert not transports
 
 

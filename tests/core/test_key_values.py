@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
+import sonar_gl as sg
 from sonar_gl.core.errors import Error
 from sonar_gl.core.key_values import parse_fields
 
@@ -47,7 +48,10 @@ def test_values_have_the_types_of_the_fields(text, preset, values):
     "text, message",
     [
         ("", "unknown name (got ''; known are count, law, level, limit, loud, maybe, on, quiet)"),
-        ("on,,", "unknown name (got ''; known are count, law, level, limit, maybe, on)"),
+        *(
+            (text, "commas must stand between two items (got one with none beside it; leave it out)")
+            for text in ("on,", "on,,", ",on", "on, ,count=3", ",")
+        ),
         ("on,quiet", "unknown name (got 'quiet'; known are count, law, level, limit, maybe, on)"),
         ("quiet=1", "unknown name (got 'quiet'; known are count, law, level, limit, maybe, on)"),
         ("levl=1", "unknown name (got 'levl'; did you mean 'level'?)"),
@@ -64,3 +68,17 @@ def test_invalid_text_raises_errors(text, message):
     with pytest.raises(Error) as why:
         parse(text)
     assert str(why.value) == f"settings {text!r}: {message}"
+
+
+@pytest.mark.parametrize("value", [None, 5, {"level": 1.0}])
+def test_what_is_no_text_is_refused(value):
+    with pytest.raises(Error) as why:
+        parse(value)
+    kind = type(value).__name__
+    assert str(why.value) == f"settings must be a str (got {kind}; such as 'key=value,key=value')"
+
+
+@pytest.mark.parametrize("kind", [sg.Acoustics, sg.Noise, sg.Water])
+def test_settings_are_parsed_from_text_alone(kind):
+    with pytest.raises(Error, match=rf"^{kind.__name__.lower()} must be a str \(got dict; such as '"):
+        kind.parse({})

@@ -1,5 +1,7 @@
 """Reading TOML files."""
 
+import codecs
+
 import pytest
 
 from sonar_gl.core.errors import Error
@@ -30,9 +32,25 @@ def test_messages_name_the_file_and_what_it_is(tmp_path):
         f"{path}: the job file must be TOML "
         "(Expected newline or end of document after a statement (at line 1, column 8))"
     )
-    path.write_bytes(b"name = '\xff'")
-    with pytest.raises(Error, match=r"the job file must be TOML \('utf-8' codec can't decode"):
-        read_toml(path, "the job file")
+
+
+@pytest.mark.parametrize(
+    ("data", "got"),
+    [
+        ("ph = 8\n".encode("utf-16"), "UTF-16"),
+        ("ph = 8\n".encode("utf-16-le"), "UTF-16"),
+        ("name = 'Öresund'\n".encode("utf-16-be"), "UTF-16"),
+        (codecs.BOM_UTF16_BE + "ph = 8\n".encode("utf-16-be"), "UTF-16"),
+        ("ph = 8\nname = 'Öresund'\n".encode("latin-1"), "byte 0xd6 in line 2"),
+    ],
+)
+def test_another_encoding_is_named(tmp_path, data, got):
+    path = tmp_path / "a.toml"
+    path.write_bytes(data)
+    for hint, cure in (("", "save it as UTF-8"), ("name it .toml", "name it .toml")):
+        with pytest.raises(Error) as caught:
+            read_toml(path, "the job file", hint)
+        assert str(caught.value) == f"{path}: the job file must be TOML in UTF-8 (got {got}; {cure})"
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import gc
 import math
 import os
 import pickle
+import re
 import subprocess
 import sys
 import threading
@@ -21,7 +22,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.cli.warm_up import compiled_functions
+from sonar_gl.cli.compilation import compiled_functions
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.functions import Functions
@@ -775,6 +776,37 @@ def test_invalid_arguments_raise_errors(make, message):
     with pytest.raises(sg.Error) as caught:
         make()
     assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda one: sg.Scene(one), "a body of a scene must be a Body (got ndarray; "),
+        (lambda one: sg.Scene([BOX], sensors=one), "sensors of a scene must be an Iterable (got ndarray; "),
+        (
+            lambda one: sg.Scene([BOX]).with_bodies(one),
+            "bodies of a scene must be an Iterable (got ndarray; ",
+        ),
+        (lambda one: sg.Scene([BOX]).with_more(one), "bodies to add must be an Iterable (got ndarray; "),
+        (lambda one: list(simulator().pings(one)), "poses must be several poses (got ndarray; "),
+        (lambda one: simulator().plan(one), "poses must be several poses (got ndarray; "),
+        (
+            lambda one: list(simulator().pings([np.eye(4)], times_s=one)),
+            "times_s must be several, one a pose (got array(3.))",
+        ),
+        (
+            lambda one: simulator().ping(np.eye(4), labels=True, background=one),
+            "background must be several names of bodies (got array(3.); ",
+        ),
+        (
+            lambda one: sg.save_animation("none.gif", one, 5),
+            "frames must be an Iterable (got ndarray; give several pictures, ",
+        ),
+    ],
+)
+def test_an_array_of_no_axis_is_not_several(make, message):
+    with pytest.raises(sg.Error, match=f"^{re.escape(message)}"):
+        make(np.array(3.0))
 
 
 @pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 import sonar_gl as sg
+from tests.support.command_line import SONAR
 from tests.support.file_readers import POSES, READERS, SUFFIXES
 
 GIT_LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a21\nsize 12345\n"
@@ -80,3 +81,21 @@ def test_poses_may_come_through_a_pipe_that_is_open():
         [sys.executable, "-c", program], input=POSES, capture_output=True, text=True, timeout=60
     )
     assert (ran.stdout, ran.stderr) == ("1\n", "")
+
+
+def test_a_sonar_may_come_through_a_pipe_that_is_open():
+    """As by `--sonar /dev/stdin`, or `--sonar <(sonar-gl sonars p900-45)` of a shell; a change of it may follow."""
+    program = "import sys; from sonar_gl.sonar.sonar_files import load_sonar; print(load_sonar(sys.argv[1]).n_beams)"
+    for what, printed in (("/dev/stdin", "24\n"), ("/dev/stdin,n_beams=12", "12\n")):
+        ran = subprocess.run(
+            [sys.executable, "-c", program, what], input=SONAR, capture_output=True, text=True, timeout=60
+        )
+        assert (ran.stdout, ran.stderr) == (printed, "")
+
+
+def test_what_is_no_file_and_no_folder_is_not_called_a_missing_sonar(tmp_path):
+    os.mkfifo(tmp_path / "sonar")
+    with at_once(), pytest.raises(sg.Error) as caught:
+        sg.load_sonar(tmp_path / "sonar")
+    told = "must be a file (got a named pipe; write its content to a file first)"
+    assert str(caught.value) == f"{tmp_path}/sonar: {told}"

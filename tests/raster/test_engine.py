@@ -88,6 +88,16 @@ def test_the_variable_chooses_and_an_argument_overrides_it(no_card, monkeypatch)
             "",
             "the cpu engine needs no OpenGL (got context 'current'",
         ),
+        (
+            {"context": np.zeros(3)},
+            "",
+            "context must be 'current' without a device, or None (got array([0., 0., 0.])",
+        ),
+        (
+            {"engine": np.zeros(3)},
+            "",
+            "the engine must be one of auto, opengl, cpu (got array([0., 0., 0.]))",
+        ),
         ({"context": "mine"}, "", "context must be 'current' without a device, or None (got 'mine')"),
     ],
 )
@@ -95,6 +105,15 @@ def test_contradictions_are_errors(monkeypatch, arguments, variable, message):
     monkeypatch.setenv("SONAR_GL_ENGINE", variable)
     with pytest.raises(sg.Error, match=re.escape(message)):
         name_of(**arguments)
+
+
+@pytest.mark.parametrize("other", [{"engine": "cpu"}, {"device": 0}, {"context": "current"}])
+def test_a_second_sonar_takes_the_engine_of_the_first(other):
+    with sg.Simulator(sg.load_scene("pylon"), sg.load_sonar("p900-45"), engine="cpu") as first:
+        ((name, value),) = other.items()
+        told = f"{name} must be left out beside a Simulator, whose engine draws (got {value!r})"
+        with pytest.raises(sg.Error, match=f"^{re.escape(told)}$"):
+            sg.Simulator(first, sg.load_sonar("p900-45"), **other)
 
 
 @pytest.mark.parametrize("name", ["cpu", "opengl"])

@@ -23,6 +23,8 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
 from sonar_gl.scene import load
 from sonar_gl.scene.load import bundled_scenes, load_scene, scene_description
+from sonar_gl.scene.placed_shapes import PlacedShapes
+from sonar_gl.scene.primitives import box
 from sonar_gl.scene.pyrender_scene import import_pyrender
 from sonar_gl.scene.scene import Scene
 from tests.support.processes import python
@@ -127,6 +129,11 @@ def test_invalid_paths(two_scenes):
         error_message(str(two_scenes))
         == f"{two_scenes}: a folder must be that of a model (it has neither model.config nor model.sdf)"
     )
+    for address in ("https://fuel.gazebosim.org/1.0/a/models/Boat", "model://boat", "file:///tmp/a.sdf"):
+        assert error_message(address) == (
+            f"a scene must be a bundled name or a path (got the address {address!r}; give the path of its file or "
+            "folder on this machine)"
+        )
     assert error_message("a.usdz") == "a.usdz: USD is not read; convert it to .glb, for instance by Blender"
     assert error_message(3) == (
         "a scene must be a bundled name, a path, or a scene or mesh of trimesh, pyrender or MuJoCo (got int)"
@@ -419,6 +426,27 @@ def test_a_trimesh_scene_keeps_coordinates_and_applies_scale_to_vertices():
     np.testing.assert_allclose(bodies["scaled"].pose, pose(1, 2, 3, yaw=np.pi / 2), rtol=0, atol=1e-15)
     np.testing.assert_allclose(bodies["scaled"].mesh.extents, [2, 4, 6], rtol=1e-14)
     assert bodies["mirrored"].mesh.volume > 0  # its faces still look outwards
+
+
+def test_copies_in_a_trimesh_scene_of_one_size_share_their_mesh_as_in_mesh_files():
+    scene, rock = trimesh.Scene(), trimesh.creation.icosphere(1)
+    turned = pose(7, 8, 9, roll=0.3, pitch=-0.4, yaw=2)
+    scene.add_geometry(rock, geom_name="rock", node_name="plain", transform=turned)
+    for name, place in (("large", turned), ("large_too", pose(-5, yaw=1))):
+        scene.graph.update(frame_to=name, matrix=_scaled(place, 2, 2, 2), geometry="rock")
+    bodies = {body.name: body for body in load_scene(scene).bodies}
+    assert bodies["plain"].surface is rock
+    assert bodies["large"].surface is bodies["large_too"].surface
+
+
+def test_a_node_whose_rotation_is_rounded_has_one_as_pose_and_the_shape_as_it_is():
+    """As of matrices in single precision, from a program of graphics."""
+    shape, place = box((1, 2, 3)), np.array(pose(7, 8, 9, roll=0.3, pitch=-0.4, yaw=2))
+    place[:3, :3] = place[:3, :3].astype(np.float32)
+    body = PlacedShapes().body("a", shape, place)
+    assert body.surface is shape.mesh
+    assert np.allclose(body.pose[:3, :3] @ body.pose[:3, :3].T, np.eye(3), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(body.pose, place, rtol=0, atol=1e-7)  # half a step of float32 is 6e-8
 
 
 # ---- pyrender ----------------------------------------------------------------------------------------

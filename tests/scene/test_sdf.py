@@ -1775,9 +1775,86 @@ def test_a_size_that_is_misspelt_is_told_of(tmp_path, geometry, tag, hint):
     ]
 
 
+@pytest.mark.parametrize(
+    ("geometry", "tag", "sizes"),
+    [
+        ("<sphere><diameter>4</diameter></sphere>", "sphere/diameter", "radius"),
+        (
+            "<cylinder><diameter> 4.5 </diameter><length>3</length></cylinder>",
+            "cylinder/diameter",
+            "length, radius",
+        ),
+        ("<box><dimensions>1 2 3</dimensions></box>", "box/dimensions", "size"),
+        ("<box><x>1</x></box>", "box/x", "size"),
+    ],
+)
+def test_a_number_in_the_place_of_a_size_is_told_of(tmp_path, geometry, tag, sizes):
+    path = write(
+        tmp_path / "a.sdf", model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")))
+    )
+    with pytest.warns(UserWarning) as caught:
+        read_sdf(path)
+    assert [str(w.message) for w in caught] == [
+        f"{path}: tags that SDF does not know there are left out: world/model[m]/link[link]/collision[c]/"
+        f"geometry/{tag} (known are {sizes})"
+    ]
+
+
 def test_other_tags_of_shapes_give_no_warning(read):
     geometry = "<geometry><box><size>1 2 3</size><sizes>x</sizes><texture/></box></geometry>"
     assert len(read(model(link(shape=shape(RETRO, geometry=geometry)))).bodies) == 1
+
+
+A_POSE, ANOTHER_POSE = "<pose>5 0 0 0 0 0</pose>", "<pose>0 7 0 0 0 0</pose>"
+POSES, IN_FRAME = A_POSE + ANOTHER_POSE, "<pose relative_to='f'/>"
+
+
+@pytest.mark.parametrize(
+    ("inside", "places"),
+    [
+        (model(POSES + link()), "world/model[m]/pose"),
+        (model(link(POSES)), "world/model[m]/link[link]/pose"),
+        (model(link(shape=shape(RETRO + POSES))), "world/model[m]/link[link]/collision[c]/pose"),
+        (model(f"<frame name='f'>{POSES}</frame>{link(IN_FRAME)}"), "world/model[m]/frame[f]/pose"),
+        (f"<include><uri>model://buoy</uri>{POSES}</include>", "world/include[model://buoy]/pose"),
+        (
+            f"<include><uri>model://buoy</uri><uri>model://none</uri>{A_POSE}</include>",
+            "world/include[model://buoy]/uri",
+        ),
+        (f"{model(A_POSE + link())}</world><world name='other'>{model(link(), 'n')}", "world[other]"),
+        (f"{model(A_POSE + link())}</world>{model(link(), 'n')}<world name='w2'>", "world[w2], model[n]"),
+    ],
+)  # fmt: skip
+def test_where_one_element_may_stand_the_first_is_read_and_others_are_told_of(tmp_path, inside, places):
+    add_model(tmp_path, "buoy", model(link(), "buoy"))
+    path = write(tmp_path / "a.sdf", inside)
+    with pytest.warns(UserWarning) as caught:
+        scene = read_sdf(path, [tmp_path])
+    told = f"{path}: where one element may stand the first is read, and others are left out ({places})"
+    assert [str(w.message) for w in caught] == [told]
+    (body,) = scene.bodies
+    middle = body.mesh.vertices.mean(axis=0)
+    assert (body.pose[:3, 3] + middle).tolist() == [5, 0, 0]
+
+
+def test_a_second_pose_of_a_sensor_is_told_of(tmp_path):
+    sensor = f"<sensor name='sonar' type='custom'>{POSES}</sensor>"
+    path = write(tmp_path / "a.sdf", model(link(), "n") + model(f"<link name='l'>{sensor}</link>"))
+    with pytest.warns(
+        UserWarning, match=r"others are left out \(world/model\[m\]/link\[l\]/sensor\[sonar\]/pose\)$"
+    ):
+        assert read_sdf(path).sonar_pose[:3, 3].tolist() == [5, 0, 0]
+
+
+def test_a_second_model_in_the_file_of_a_model_is_told_of(tmp_path):
+    file = add_model(tmp_path, "buoy", model(link()) + model(link(), "second")) / "model.sdf"
+    path = write(tmp_path / "a.sdf", "<include><uri>model://buoy</uri></include>")
+    with pytest.warns(UserWarning) as caught:
+        assert [body.name for body in read_sdf(path, [tmp_path]).bodies] == ["m"]
+    assert (
+        f"{path}: where one element may stand the first is read, and others are left out ({file}: model[second])"
+        in [str(w.message) for w in caught]
+    )
 
 
 @pytest.mark.parametrize(

@@ -267,3 +267,8 @@ def test_automatic_gain_has_the_bounds_of_a_fixed_one(level, gain_db):
 def test_what_is_shown_is_above_0_whatever_the_exponent():
     """A level in dB is made of it; 1/32 to the power of 100 is 0 as float32."""
     assert Counts("power", exponent=0.01).least_shown(np.ones((1, 1))) == np.finfo(np.float32).tiny
+
+
+def test_no_automatic_gain_leaves_a_fixed_one_as_it_is():
+    assert Counts(gain_db=20.0).changed({"gain_percentile": None}) == Counts(gain_db=20.0)
+    assert Counts(gain_percentile=99.0).changed({"gain_percentile": None}) == Counts()

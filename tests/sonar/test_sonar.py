@@ -218,6 +218,12 @@ def test_an_unknown_preset_is_an_error():
     assert error_of(load_sonar, "p900-46") == (
         "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'm900-45'?)"
     )
+    for text in ("p900-45;n_beams=64", "p900-45 n_beams=64", "p900-45:n_beams=64"):
+        message = error_of(load_sonar, text)
+        assert message.startswith(f"unknown sonar (got {text!r}; did you mean 'p900-45'")
+        assert message.endswith(
+            "?; changes of its fields follow a comma each, as in p900-45,n_beams=64,n_bins=400)"
+        )
     everything = ", ".join(sorted(presets()))
     assert error_of(load_sonar, "zzz") == f"unknown sonar (got 'zzz'; known are {everything})"
     ending = "a sonar's file must end in .toml"
@@ -253,8 +259,8 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         "(Expected newline or end of document after a statement (at line 2, column 13))"
     )
     path.write_bytes(b"name = '\xff'")
-    assert error_of(load_sonar, path).startswith(
-        f"{path}: the sonar's file must be TOML ('utf-8' codec can't"
+    assert error_of(load_sonar, path) == (
+        f"{path}: the sonar's file must be TOML in UTF-8 (got byte 0xff in line 1; save it as UTF-8)"
     )
     table = tmp_path / "mine.csv"  # a file of poses in the wrong place
     table.write_text("t,x,y,z\n")

@@ -43,6 +43,11 @@ def test_what_has_its_default_or_no_effect_is_not_written(tmp_path):
         ("none/mine.toml", P900, r"^cannot write 'none/mine.toml': the folder 'none' does not exist$"),
         (
             "mine.toml",
+            replace(P900, source="page \udcb3"),
+            r"^mine.toml: source must be text that a file can hold \(got 'page \\udcb3', with half of a letter\)$",
+        ),
+        (
+            "mine.toml",
             "p900-45",
             r"^sonar must be a Sonar \(got str; such as sonar_gl.load_sonar\('p900-45'\)\)$",
         ),

@@ -14,7 +14,7 @@ import sonar_gl
 from sonar_gl.core.compiled import sources_of
 
 PROGRAM = """
-from sonar_gl.cli.warm_up import cache_folder, compile_everything
+from sonar_gl.cli.compilation import cache_folder, compile_everything
 compile_everything()
 print(cache_folder() or "")
 """

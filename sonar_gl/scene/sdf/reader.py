@@ -37,6 +37,7 @@ READ = {
     "link": ("collision", "pose", "sensor", "visual"),
     **dict.fromkeys(("collision", "frame", "include", "visual"), ("pose",)),
 }
+ONCE = "geometry", "pose", "uri"  # in one element; Gazebo, too, takes the first of several
 NO_POSES = "origin", "position"  # less similar tags that mean a pose
 MISSPELT = 0.8  # least similarity of tags, by `difflib`; the tags that SDF knows beside these reach 0.67
 CHANGES_OF_INCLUDED = "}params", "experimental:params"  # in an include, whether the prefix is declared or not
@@ -96,11 +97,11 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     """
     file = _find_file(path, resource_paths)
     path, resources = file.path, file.resources
-    top, scope = _read_root(resources, path, file.arguments)
+    top, scope, beside = _read_root(resources, path, file.arguments)
     surface = {}
     for child in check_extensions(top, ("surface",), scope.location):
         surface = read_surface(child, scope.location_of("sonar_gl:surface"))
-    tree = TreeReader(resources)
+    tree = TreeReader(resources, beside)
     tree.fill(scope, top, (path.resolve(),))
     moved = apply_state(scope, top)
     links = list(links_of(scope, np.eye(4)))
@@ -114,7 +115,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         height_m = None  # the file states the surface
     elif height_m is not None:
         surface = {"surface_z_m": height_m}
-    _warn(path, [*_notes_of_water(water, height_m), *_notes_of_rays(links, sonars), *tree.notes(), moved])
+    _warn(path, [*_notes_of_water(water, height_m), *_notes_of_rays(links, sonars), *tree.notes(path), moved])
     _check_missing(path, resources, skip_missing)
     _warn_of_shapes(path, reader, tree.misplaced, len(bodies))
     _warn(path, changed)
@@ -244,7 +245,10 @@ def _places(texts: Iterable[str], path: Path) -> str:
 
 
 def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):
-    """Return the element that holds the models of a file, or the links of a robot, and an empty scope for it."""
+    """Return the element that holds the models of a file, or the links of a robot, and an empty scope for it.
+
+    The third is a list of the places of worlds, models and includes that stand beside the world, and are not read.
+    """
     if path.suffix.lower() == ".xacro":
         root = resources.parse_xml(expand(path, arguments, resources), path)
     else:
@@ -252,7 +256,7 @@ def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):
             raise Error(f"{path}: only a .xacro file takes arguments (got {', '.join(arguments)})")
         root = resources.parse(path)
     if root.tag == "robot":
-        return model_of(root, str(path)), Scope(f"{path}: ", path.parent, is_world=True)
+        return model_of(root, str(path)), Scope(f"{path}: ", path.parent, is_world=True), []
     if root.tag not in ("sdf", "gazebo"):
         known = f"; {OTHER_ROOTS[root.tag]}" if root.tag in OTHER_ROOTS else ""
         raise Error(f"{path}: the root element must be <sdf>, or <robot> of URDF (got <{root.tag}>{known})")
@@ -260,7 +264,10 @@ def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):
     if world is None and all(root.find(tag) is None for tag in ("model", "include", "light", "actor")):
         raise Error(f"{path}: must hold a <world> or a <model>")
     scope = Scope(f"{path}: " + ("" if world is None else "world"), path.parent, is_world=True)
-    return root if world is None else world, scope
+    if world is None:
+        return root, scope, []
+    beside = [one for tag in ("world", "model", "include") for one in root.findall(tag) if one is not world]
+    return world, scope, [f"{path}: {one.tag}[{(one.get('name') or '').strip()}]" for one in beside]
 
 
 def _read_sensors(sonars: list[SensorOfLink]) -> tuple[list[SonarSensor], list[str]]:
@@ -320,19 +327,24 @@ class TreeReader:
     Parameters
     ----------
     resources : finds the files of included models
+    repeated : places of elements that are not read, since one before them is
 
     Attributes
     ----------
     misplaced : what to say of shapes out of links, and of misspelt tags
     """
 
-    def __init__(self, resources: Resources):
+    def __init__(self, resources: Resources, repeated: list[str]):
         self.resources, self.misplaced, self._n_models = resources, [], 0
+        self._repeated = list(repeated)
         self._left_out = []  # kinds and names of what Gazebo shows, and is not read
         self._changed = []  # names of included models whose elements the scene changes, which is not read
 
-    def notes(self) -> Iterator[str]:
+    def notes(self, path: Path) -> Iterator[str]:
         """Yield what to say of what is not read."""
+        if self._repeated:
+            places = _places(dict.fromkeys(self._repeated), path)
+            yield f"where one element may stand the first is read, and others are left out ({places})"
         if self._changed:
             names = some_names(self._changed)
             yield f"changes of included models by <experimental:params> are left out ({names})"
@@ -348,14 +360,16 @@ class TreeReader:
         element : its `<world>`, `<model>` or root element
         stack : for each model or file that led here, the file, or None for a model within a file
         """
-        self.misplaced += [scope.location_of(text) for text in _misspelt_tags(element)]
+        self._note_tags(element, scope.location_of(""))
         for child in element:
             name = (child.get("name") or "").strip()
-            location = scope.location_of(f"{child.tag}[{name}]")
+            location = scope.location_of(
+                _include_text(child) if child.tag == "include" else f"{child.tag}[{name}]"
+            )
             if child.tag in ("collision", "visual"):
                 self.misplaced.append(f"{location} (it must be in a link)")
             elif child.tag in ("frame", "include", "link"):
-                self.misplaced += [f"{location}/{text}" for text in _misspelt_tags(child)]
+                self._note_tags(child, f"{location}/")
             if child.tag == "model":
                 placement = child.get("placement_frame") or ""
                 frame = Frame(
@@ -367,9 +381,9 @@ class TreeReader:
             elif child.tag == "link":
                 scope.add(name, Frame(child.find("pose"), location))
                 scope.links[name] = child
-                for shape in child.findall("collision") + child.findall("visual"):
-                    where = f"{location}/{shape.tag}[{(shape.get('name') or '').strip()}]"
-                    self.misplaced += [f"{where}/{text}" for text in _misspelt_tags(shape)]
+                for tag in ("collision", "visual", "sensor"):
+                    for one in child.findall(tag):
+                        self._note_tags(one, f"{location}/{tag}[{(one.get('name') or '').strip()}]/")
             elif child.tag == "frame":
                 base = (child.get("attached_to") or "").strip()
                 scope.add(name, Frame(child.find("pose"), location, base))
@@ -383,6 +397,11 @@ class TreeReader:
         for name in [(frame.get("name") or "").strip() for frame in element.findall("frame")]:
             scope.find(name, scope.frames[name].location)  # raises errors of frames that nothing refers to
 
+    def _note_tags(self, element, location: str):
+        """Note the tags in an element that are misspelt, or repeated; `location` ends where theirs follow."""
+        self.misplaced += [f"{location}{text}" for text in _misspelt_tags(element)]
+        self._repeated += [f"{location}{tag}" for tag in ONCE if len(element.findall(tag)) > 1]
+
     def _add_model(self, scope: Scope, name: str, frame: Frame, element, stack: tuple, location: str):
         self._n_models += 1
         if len(stack) > MAX_NESTING or self._n_models > MAX_MODELS:
@@ -395,7 +414,7 @@ class TreeReader:
     def _include(self, scope: Scope, element, stack: tuple):
         uri = (element.findtext("uri") or "").strip()
         name = (element.findtext("name") or "").strip()
-        location = scope.location_of(f"include[{name or uri}]")
+        location = scope.location_of(_include_text(element))
         path = self.resources.find_model(uri, scope.folder, location)
         if isinstance(path, Path) and uri.lower().startswith("http") and path.resolve() in stack:
             # a file may stand for the model of Fuel that has the name of the file's own folder
@@ -418,6 +437,11 @@ class TreeReader:
                 raise Error(f"{path}: must hold a <model> (included by {location})")
             self._left_out += [f"actor {(one.get('name') or '').strip()}" for one in root.findall("actor")]
             return
+        self._repeated += [
+            f"{path}: model[{(one.get('name') or '').strip()}]"
+            for one in root.findall("model")
+            if one is not model
+        ]
         name = name or (model.get("name") or "").strip()
         if any(str(child.tag).endswith(CHANGES_OF_INCLUDED) for child in element):
             self._changed.append(name)
@@ -448,6 +472,12 @@ class TreeReader:
                 "leave merge out)"
             )
         scope.merge(own_name, location)
+
+
+def _include_text(element) -> str:
+    """Return the name of an `<include>` for messages, or what it includes if it gives no name."""
+    texts = [(element.findtext(tag) or "").strip() for tag in ("name", "uri")]
+    return f"include[{texts[0] or texts[1]}]"
 
 
 def _misspelt_tags(element) -> Iterator[str]:

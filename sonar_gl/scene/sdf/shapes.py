@@ -35,6 +35,8 @@ SIZES = {
     "polyline": ("height", "point"),
     "sphere": ("radius",),
 }
+# shapes in which another tag with numbers stands in the place of a size that is absent, as a diameter does
+SOLIDS = "box", "capsule", "cone", "cylinder", "ellipsoid", "sphere"
 MAX_RETRO = 255  # of laser_retro, for which SDF has no limit: what is more reflects all
 MAX_NUMBER = 100_000  # of laser_retro: more is a mistake
 # of a shape, in namespace sonar_gl
@@ -268,7 +270,7 @@ class BodyReader:
         return self._sized_meshes.get(sized)
 
     def _note_misspelt(self, shape, location: str) -> None:
-        """Note tags of a shape that are similar to a size of it that is absent; refuse one that is an attribute."""
+        """Note tags of a shape that mean a size of it that is absent; refuse a size that is an attribute."""
         absent = [tag for tag in SIZES.get(shape.tag, ()) if shape.find(tag) is None]
         for tag in absent:
             if shape.get(tag) is not None:
@@ -279,6 +281,8 @@ class BodyReader:
         for child in shape:
             known = not isinstance(child.tag, str) or child.tag in SIZES.get(shape.tag, ())
             hint = "" if known else similar_names(child.tag.lower(), absent)
+            if absent and not known and not hint and shape.tag in SOLIDS and _holds_numbers(child.text):
+                hint = f"known are {', '.join(SIZES[shape.tag])}"
             text = f"{location}/{child.tag} ({hint})"
             if hint and text not in self.misspelt:  # a shape of water is read for its surface, too
                 self.misspelt.append(text)
@@ -336,3 +340,11 @@ def _read_polylines(elements, location: str, height_m: float) -> Shape:
             raise Error(f"{location}: must have three different points or more (got {len(ring)})")
         rings.append(np.array(ring))
     return primitives.extrude(rings, height_m)
+
+
+def _holds_numbers(text: str | None) -> bool:
+    """Return whether a text is one number or several."""
+    try:
+        return bool([float(word) for word in (text or "").split()])
+    except ValueError:
+        return False

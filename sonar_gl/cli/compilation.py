@@ -1,7 +1,7 @@
 """Compilation of all compiled functions before their first use.
 
 The functions are compiled for the types of their arguments, so tiny pings in a tiny scene call each of them as the
-product does. Where there is something to compile, a second process, `python -m sonar_gl.cli.warm_up`, compiles
+product does. Where there is something to compile, a second process, `python -m sonar_gl.cli.compilation`, compiles
 half of it at the same time and leaves it on disk.
 """
 
@@ -49,7 +49,7 @@ from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
 
 REPORT_S = 3.0  # between two reports
-SONAR = Sonar("warm_up", 900e3, 16, 48, 30.0, 20.0, 2.0, 0.5, 8.5)
+SONAR = Sonar("tiny", 900e3, 16, 48, 30.0, 20.0, 2.0, 0.5, 8.5)
 # its beams overlap so widely that its side lobes have wide columns, and that place-locked speckle is interpolated
 WIDE_BEAMS = replace(SONAR, beam_width_deg=20.0)
 POSE = pose(z=-1.0, pitch=0.02)  # sees the surface and the floor
@@ -136,7 +136,7 @@ class _SecondProcess:
         """Start it if what it compiles is kept on disk, where this process finds it."""
         if cache_folder() is not None:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "sonar_gl.cli.warm_up"],
+                [sys.executable, "-m", "sonar_gl.cli.compilation"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,  # if it fails, this process compiles the rest, and says why that fails
@@ -205,7 +205,7 @@ def _work_without_opengl():
     boxes_of(ping, 40)
     body_map(ping, 40)
     with suppress(ModuleNotFoundError):  # the extra `batch` is not installed, or only parts of it
-        cli.warm_up_batch.encode_layers(ping)
+        cli.batch_compilation.encode_layers(ping)
     _make_levels()
     _list_draws()
     if find_spec("embreex"):
