@@ -277,7 +277,7 @@ def make_levels(points, faces) -> Levels:
         first_half = subtree(0, n_leaves // 2)
         top = join(first_half, second_half.result(), (0, n_leaves))
     while top.faces is not None and len(top.faces) > COARSEST_FACES:
-        fewer = coarsen(top, 0, len(bounds), (top,))
+        fewer = coarsen(top, 0, n_leaves, (top,))
         if len(fewer.faces) > MAX_LEVEL_RATIO * len(top.faces):
             break
         top = fewer

@@ -194,6 +194,21 @@ def test_patches_form_a_tree(tree):
     assert levels.n_faces[0] < 1000, "there must be coarser levels"
 
 
+def test_the_patch_of_the_whole_mesh_is_halved_until_it_has_few_faces(tree):
+    name, _, _, levels = tree
+    chain = [0]
+    while len(children := children_of(levels, chain[-1])) == 1:
+        chain += children
+    n_faces = levels.n_faces[chain[::-1]]
+    if name == "hills":  # open: nearly all that is left lies on its rim, which stays
+        assert len(chain) == 1 and detail.COARSEST_FACES < n_faces[0] < 1.2 * 4 * 69
+        return
+    assert len(chain) >= 3 and (np.diff(levels.error_m[chain]) < 0).all()
+    # each collapsed edge removes two faces
+    assert (np.abs(n_faces[1:] - n_faces[:-1] // 2) <= 1).all()
+    assert n_faces[-1] <= detail.COARSEST_FACES < n_faces[-2]
+
+
 def cut(levels, take):
     """Return a cut through the tree: the patches that `take` accepts, without their descendants."""
     out, number = [], 0
