@@ -685,6 +685,27 @@ def test_deep_water_does_not_hide_bodies(depth_m):
         assert pings[0].any()
 
 
+def test_a_floor_at_a_grazing_angle_returns_thrice_the_direct_echo(perfect):
+    """Both ways of a single bounce and the double bounce are as long as the direct way, to 0.3 %."""
+    perfect("floor")
+    floor, target = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), ball(10, 0, 0.25, 0.03)
+    pose, sampling = sg.pose(0, 0, 0.25), sg.Sampling(16, 3000)
+    with sg.Simulator(sg.Scene([target]), SONAR, IDEAL, sampling) as simulator:
+        straight = simulator.ping(pose).intensity.sum(dtype=np.float64)
+    # samples are 2.6 mm apart, an eleventh of the ball's radius
+    assert multipath_echo(sg.Scene([floor, target]), pose, sampling=sampling).sum() == pytest.approx(
+        3 * straight, rel=0.03
+    )
+
+
+def test_what_leaves_the_fan_does_not_come_back_by_the_surface(perfect):
+    """The fan sees the surface, but the ball ahead only directly: by the surface it lies 18 degrees above the fan."""
+    perfect()
+    scene, pose = sg.Scene([ball(6, 0, -3, 0.3)], surface_z_m=0.0), sg.pose(0, 0, -3, 0, -0.2)
+    sonar = replace(SONAR, elevation_fov_deg=30.0)
+    assert not multipath_echo(scene, pose, sonar=sonar, sampling=sg.Sampling(4, 150)).any()
+
+
 def test_a_convex_body_does_not_reflect_itself(perfect):
     perfect("box")
     lone = sg.Body("box", trimesh.creation.box((2, 3, 4)), sg.pose(6, 0, 0, 0, 0, 0.7), 0.8)
@@ -1093,7 +1114,7 @@ def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
     floor, pose = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), sg.pose(0, 0, 2.0)
     scene, sonar = sg.Scene([floor, ball(10, 0, 2.0, 0.05)]), replace(SONAR, elevation_fov_deg=60.0)
     out = []
-    for loss in (np.ones(N_SINES), slope):
+    for loss in (np.ones(N_SINES), slope, np.full(N_SINES, 0.05)):
         monkeypatch.setattr(
             multipath,
             "planar_reflectors",
@@ -1104,5 +1125,6 @@ def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
         out.append(multipath_echo(scene, pose, sonar=sonar, sampling=sg.Sampling(8, 1500)).sum(axis=0))
     sine = 4.0 / np.hypot(10.0, 4.0)
     once, twice = (np.abs(sonar.range_m - r) < 0.15 for r in (10.385, 10.770))
-    assert out[1][once].sum() / out[0][once].sum() == pytest.approx(sine, rel=0.01)
-    assert out[1][twice].sum() / out[0][twice].sum() == pytest.approx(sine**2, rel=0.01)
+    for found, share in ((out[1], sine), (out[2], 0.05)):
+        assert found[once].sum() / out[0][once].sum() == pytest.approx(share, rel=0.01)
+        assert found[twice].sum() / out[0][twice].sum() == pytest.approx(share**2, rel=0.01)

@@ -307,6 +307,7 @@ def test_a_small_mesh_is_one_patch_and_a_larger_one_has_no_coarser_levels(monkey
     assert levels.n_faces[~levels.leaf].sum() == 0
     assert np.isinf(levels.error_m[~levels.leaf]).all()
     assert levels.n_faces[levels.leaf].sum() == len(faces)
+    assert (levels.cone[~levels.leaf, 3] == -1).all()  # faces in any direction may be below
     # the box of the whole mesh, though the root has no faces
     np.testing.assert_allclose(levels.box[0], [0, 0, 0, 1, 1, 1], atol=1e-2)
 
@@ -393,9 +394,13 @@ def test_stable_argsort(n):
     assert np.array_equal(stable_argsort(costs), np.argsort(costs, kind="stable"))
 
 
-def test_the_rasteriser_has_room_for_the_vertices_of_any_patch():
+@pytest.mark.parametrize("is_simplified", [False, True])
+def test_the_rasteriser_has_room_for_the_vertices_of_any_patch(monkeypatch, is_simplified):
     """Compiled code does not look where its memory ends."""
     assert detail.LEAF_FACES <= detail.MAX_PATCH_FACES and 3 * detail.MAX_PATCH_FACES <= MAX_PATCH_VERTICES
+    if is_simplified:
+        monkeypatch.setattr(detail, "MIN_FACES_TO_SIMPLIFY", 1000)
+    most = detail.MAX_PATCH_FACES if is_simplified else detail.LEAF_FACES
     soup = np.random.default_rng(2).uniform(-1, 1, (3 * 5000, 3))  # no two triangles share a vertex
     levels = make_levels(*arrays(trimesh.Trimesh(soup, np.arange(15_000).reshape(-1, 3), process=False)))
-    assert (levels.n_vertices == 3 * levels.n_faces).all() and levels.n_faces.max() <= detail.LEAF_FACES
+    assert (levels.n_vertices == 3 * levels.n_faces).all() and most / 2 < levels.n_faces.max() <= most
