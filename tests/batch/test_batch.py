@@ -1377,7 +1377,7 @@ def test_a_batch_may_be_written_to_a_url(tmp_path):
         assert fsspec.filesystem("memory").cat_file(f"/batch/{name}") == data
 
 
-@pytest.mark.parametrize("bits", [1, 5, 12])
+@pytest.mark.parametrize("bits", [1, 5, 12, 22])
 def test_mantissas_are_rounded_within_the_stated_error(bits):
     values = np.exp(np.random.default_rng(0).uniform(-80, 80, 10000)).astype(np.float32)
     rounded = round_mantissa(values, bits)
@@ -1606,6 +1606,26 @@ def test_each_field_of_a_body_is_known_to_the_digest(tmp_path, monkeypatch):
     digests = [digest_of(body), *(digest_of(replace(body, **{name: to})) for name, to in changed.items())]
     assert len(set(digests)) == len(digests)
     assert digest_of(replace(body)) == digests[0]
+
+
+def test_the_surface_and_places_of_plumes_are_known_to_the_digest(tmp_path, monkeypatch):
+    path = write_job(tmp_path, 2, "")
+    text = path.read_text()
+    path.write_text(text[: text.index("[[vary.bodies]]")])
+    requests, body = BatchRequests(read_job(path)), sg.Body("wall", trimesh.creation.box((1, 20, 20)))
+    digests = set()
+    for settings in (
+        {},
+        {"surface_z_m": 2.0},
+        {"surface_z_m": 2.5},
+        {"surface_z_m": 2.5, "surface_roughness_m": 1e-3},
+        {"plumes": [sg.Bubbles("plume", sg.pose(3.0))]},
+        {"plumes": [sg.Bubbles("plume", sg.pose(3.5))]},
+    ):
+        scene = sg.Scene([body, *settings.pop("plumes", ())], **settings)
+        monkeypatch.setattr(requests, "scene", lambda index, scene=scene: scene)
+        digests.add(Schema(requests).digest)
+    assert len(digests) == 6
 
 
 def test_changes_of_a_sonar_go_with_a_file_beside_the_job(tmp_path, monkeypatch):
