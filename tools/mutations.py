@@ -84,6 +84,12 @@ COUNTS = ("test_counts",)
 POSES, FAN = ("test_poses",), ("test_fan_image",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("batch/test_batch",), ("test_simulator",)
+ESTIMATE = ("test_multipath::test_the_estimate_of_reflections_is_an_integral_over_the_fan",)
+EXPECTED = ("test_multipath::test_what_an_image_sees_of_a_body_is_expected_sample_by_sample",)
+BY_THE_FLOOR = ("test_multipath::test_bodies_above_the_water_do_not_echo_by_way_of_the_floor",)
+CLUSTER, SONAR_FILES, STYLES = ("test_cluster",), ("sonar/test_sonar", "test_sonar_files"), ("test_styles",)
+LEVELS = ("test_level_of_detail",)
+DIGEST = ("batch/test_batch::test_the_surface_and_places_of_plumes_are_known_to_the_digest",)
 REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
 SEEN_ROD = "test_adaptive::test_a_thin_body_that_no_sample_met_is_seen_between_its_vertices"
@@ -780,6 +786,54 @@ MUTATIONS = (
         MULTIPATH,
     ),
     Mutation(
+        "multipath/estimate of wider sectors",
+        "(2 * t.tan_half_width / n) * (2 * half / n)",
+        "(2 / n) * (2 * half / n)",
+        ESTIMATE,
+    ),
+    Mutation(
+        "multipath/estimate of one leg",
+        "weight * math.sqrt(power), weight",
+        "weight * power, weight",
+        ESTIMATE,
+    ),
+    Mutation(
+        "multipath/estimate beyond the range",
+        "if seen[g] > 0.0 and length / seen[g] < range_max_m:",
+        "if seen[g] > 0.0:",
+        ESTIMATE,
+    ),
+    Mutation(
+        "multipath/behind a body",
+        "distance_ratio >= 1.0 - SAME_PLANE or not is_body",
+        "True",
+        ESTIMATE,
+    ),
+    Mutation(
+        "multipath/samples that an image is expected to have",
+        "solid_angle * (own_m / image_m) ** 2",
+        "solid_angle",
+        EXPECTED,
+    ),
+    Mutation("multipath/mean range of an image", "or (own_m + image_m) / 2 >= range_max_m", "", EXPECTED),
+    Mutation(
+        "multipath/bodies that nearly touch a reflector", "SAME_PLANE = 2e-3,", "SAME_PLANE = 2e-2,", EXPECTED
+    ),
+    Mutation("multipath/ceiling of an image", "up[3] - ceiling[3]", "up[3] + ceiling[3]", BY_THE_FLOOR),
+    Mutation("multipath/ceiling", "& (up_0 - up_u * uc + up_v * vc <= top * q)", "", BY_THE_FLOOR),
+    Mutation(
+        "multipath/grazing angles",
+        "is_met &= sine > 1e-6",
+        "is_met &= sine > 0.1",
+        ("test_multipath::test_a_floor_at_a_grazing_angle_returns_thrice_the_direct_echo",),
+    ),
+    Mutation(
+        "multipath/weak reflectors",
+        "MIN_REFLECTED = 1e-4",
+        "MIN_REFLECTED = 0.1",
+        ("test_multipath::test_the_reflection_coefficient_depends_on_the_angle",),
+    ),
+    Mutation(
         "cloud/lobes are lost",
         "total = min(mean + body.specular, 1.0)",
         "total = mean",
@@ -889,6 +943,23 @@ MUTATIONS = (
         "bounds[n, 0, j] - CORNER * near_m < sonar < bounds[n, 1, j] + CORNER * near_m",
         "bounds[n, 0, j] < sonar < bounds[n, 1, j]",
         CULLING,
+    ),
+    Mutation(
+        "levels/coarsest one",
+        "while top.faces is not None and len(top.faces) > COARSEST_FACES:",
+        "while False:",
+        LEVELS,
+    ),
+    Mutation(
+        "levels/one that is hardly coarser",
+        "break top = fewer return",
+        "top = fewer\n            break\n        top = fewer\n    return",
+        LEVELS,
+    ),
+    Mutation("levels/rim of a mesh", "locked = fixed[used] | (lowest", "locked = (lowest", LEVELS),
+    Mutation("levels/size of patches", "if len(joined.faces) <= MAX_PATCH_FACES:", "if True:", LEVELS),
+    Mutation(
+        "levels/cone of a patch without faces", "cone[number, 3] = -1.0", "cone[number, 3] = 1.0", LEVELS
     ),
     # the planner: adaptive sampling
     Mutation(
@@ -1995,6 +2066,70 @@ MUTATIONS = (
         "sound_speed_m_s=pulse.sound_speed_m_s",
         ("test_place_locked_speckle",),
     ),
+    Mutation(
+        "digest/surface",
+        "digest.update(repr((scene.surface_z_m, scene.surface_roughness_m)).encode())",
+        "",
+        DIGEST,
+    ),
+    Mutation(
+        "digest/places of plumes",
+        "digest.update(repr(settings).encode() + plume.pose.tobytes())",
+        "digest.update(repr(settings).encode())",
+        DIGEST,
+    ),
+    Mutation(
+        "store/classes of bodies",
+        "return _take(class_id, ping.body_id)",
+        "return ping.body_id.astype(class_id.dtype)",
+        STORE,
+    ),
+    Mutation("store/range of the last bin", "range_max_m * 1.001 / 65535", "range_max_m / 65535", STORE),
+    Mutation(
+        "store/true ranges",
+        "acoustics.true_range_sonar(sonar).range_max_m * 1.001",
+        "sonar.range_max_m * 1.001",
+        STORE,
+    ),
+    Mutation(
+        "cluster/parts that wait",
+        "return len(self._parts) < self._n_workers",
+        "return len(self._parts) <= self._n_workers",
+        CLUSTER,
+    ),
+    Mutation(
+        "cluster/workers that come back",
+        "if self._n_workers: self._last_worker_s = now elif",
+        "if self._n_workers:\n                pass\n            elif",
+        CLUSTER,
+    ),
+    Mutation("cluster/interrupt while settling", "if future.done():", "if False:", CLUSTER),
+    Mutation("cluster/part that comes twice", "if part not in finished:", "if True:", CLUSTER),
+    Mutation(
+        "cluster/scheduler that has gone",
+        "self._scheduler_loss_as_error(OSError, asyncio.TimeoutError)",
+        "self._scheduler_loss_as_error()",
+        CLUSTER,
+    ),
+    Mutation("cluster/parts that were given up", "given_up.append(part)", "pass", CLUSTER),
+    Mutation("cluster/count of failures", "{why.allowed_failures + 1}", "{why.allowed_failures}", CLUSTER),
+    Mutation(
+        "sonar files/name like a change",
+        "what)) and not Path(what).exists():",
+        "what)):",
+        SONAR_FILES,
+    ),
+    Mutation(
+        "sonar files/name with a hash", 'text.rpartition(".toml#")', '(text.partition(".toml#"))', SONAR_FILES
+    ),
+    Mutation("sonar files/defaults", "if value != field.default}", "}", SONAR_FILES),
+    Mutation(
+        "styles/16 bits",
+        "return law.bits == 16 and self.setting_of_8_bits is None",
+        "return law.bits == 16",
+        STYLES,
+    ),
+    Mutation("styles/height in a notebook", "NOTEBOOK_HEIGHT = 500", "NOTEBOOK_HEIGHT = 400", STYLES),
     Mutation(
         "batch/axes of a shift", "move[:3, 3] += shift", "move[:3, 3] += pivot[:3, :3] @ shift", REQUESTS
     ),
