@@ -178,7 +178,7 @@ def test_an_interrupt_finishes_the_parts_in_progress_and_begins_no_others(inside
 
 
 def test_each_worker_has_one_part_at_a_time_and_none_waits(inside, tmp_path):
-    """Part 5 is slow: the other worker makes all others meanwhile."""
+    """Part 5 is slow: the other worker makes part 0 meanwhile."""
     begun, made = [], []
 
     def parts():
@@ -192,7 +192,7 @@ def test_each_worker_has_one_part_at_a_time_and_none_waits(inside, tmp_path):
 
     driver = Driver(look)
     driver.run(inside, partial(cluster_parts.count, tmp_path), parts())
-    assert made == [0, 1, 2, 3, 5] and driver.done == dict.fromkeys(made, 1)
+    assert made[0] == 0 and driver.done == dict.fromkeys([0, 1, 2, 3, 5], 1)
 
 
 @pytest.mark.parametrize("failures", [1, 3])
@@ -220,26 +220,30 @@ def test_a_scheduler_that_does_not_answer_has_gone(inside, monkeypatch, kind):
         Driver().run(inside, cluster_parts.failing, [1])
 
 
-@pytest.mark.parametrize("n_workers", [[2, 2, 2, 0, 2], [2, 0, 0, 2]])
-def test_workers_may_be_away_for_half_an_hour(inside, tmp_path, monkeypatch, n_workers):
-    """They are counted a thousand seconds apart. The second time they are away for longer."""
-    clock = SimpleNamespace(now=1e6)
+def count_every_1000_s(monkeypatch, *n_workers):
+    """Have workers counted a thousand seconds apart, in these numbers; then there are two."""
+    clock, counts = SimpleNamespace(now=1e6), [*n_workers]
 
     def count(_):
         clock.now += 1000.0
-        return dict.fromkeys(range(n_workers.pop(0) if n_workers else 2), 1)
+        return dict.fromkeys(range(counts.pop(0) if counts else 2), 1)
 
     monkeypatch.setattr(Client, "nthreads", count)
     monkeypatch.setattr(cluster, "time", SimpleNamespace(monotonic=lambda: clock.now, sleep=time.sleep))
-    driver, make = Driver(), partial(cluster_parts.count, tmp_path)
-    if 2 in n_workers[2:4] and n_workers[1]:
-        driver.run(inside, make, range(6))
-        assert driver.done.total() == 6 and not n_workers
-        return
-    with pytest.raises(
-        Error, match=r"must have a worker \(got none for 1800 s; start some: dask worker tcp:"
-    ):
-        driver.run(inside, make, range(6))
+    return counts
+
+
+def test_workers_may_be_away_for_less_than_half_an_hour(inside, tmp_path, monkeypatch):
+    counts, driver = count_every_1000_s(monkeypatch, 2, 2, 2, 0, 2, 0), Driver()
+    driver.run(inside, partial(cluster_parts.count, tmp_path), range(6))
+    assert driver.done == dict.fromkeys(range(6), 1) and not counts
+
+
+def test_workers_that_are_away_for_longer_are_missed(inside, tmp_path, monkeypatch):
+    count_every_1000_s(monkeypatch, 2, 2, 0, 0)
+    missed = r"the cluster must have a worker \(got none for 1800 s; start some: dask worker tcp:"
+    with pytest.raises(Error, match=missed):
+        Driver().run(inside, partial(cluster_parts.count, tmp_path), range(6))
 
 
 def test_a_notebook_may_use_a_cluster(inside, tmp_path):
