@@ -87,8 +87,13 @@ SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("batch/test_batch",), ("t
 ESTIMATE = ("test_multipath::test_the_estimate_of_reflections_is_an_integral_over_the_fan",)
 EXPECTED = ("test_multipath::test_what_an_image_sees_of_a_body_is_expected_sample_by_sample",)
 BY_THE_FLOOR = ("test_multipath::test_bodies_above_the_water_do_not_echo_by_way_of_the_floor",)
-CLUSTER, SONAR_FILES, STYLES = ("test_cluster",), ("sonar/test_sonar", "test_sonar_files"), ("test_styles",)
-LEVELS = ("test_level_of_detail",)
+SONAR_FILES, STYLES = ("sonar/test_sonar", "test_sonar_files"), ("test_styles",)
+LEVELS = ("test_level_of_detail::test_the_patch_of_the_whole_mesh_is_halved_until_it_has_few_faces",)
+PATCHES = (
+    "test_level_of_detail::test_the_rasteriser_has_room_for_the_vertices_of_any_patch",
+    "test_level_of_detail::test_a_small_mesh_is_one_patch_and_a_larger_one_has_no_coarser_levels",
+)
+GIVEN_UP = ("test_cluster::test_parts_that_workers_died_of_are_left_to_the_caller",)
 DIGEST = ("batch/test_batch::test_the_surface_and_places_of_plumes_are_known_to_the_digest",)
 REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
@@ -957,9 +962,9 @@ MUTATIONS = (
         LEVELS,
     ),
     Mutation("levels/rim of a mesh", "locked = fixed[used] | (lowest", "locked = (lowest", LEVELS),
-    Mutation("levels/size of patches", "if len(joined.faces) <= MAX_PATCH_FACES:", "if True:", LEVELS),
+    Mutation("levels/size of patches", "if len(joined.faces) <= MAX_PATCH_FACES:", "if True:", PATCHES),
     Mutation(
-        "levels/cone of a patch without faces", "cone[number, 3] = -1.0", "cone[number, 3] = 1.0", LEVELS
+        "levels/cone of a patch without faces", "cone[number, 3] = -1.0", "cone[number, 3] = 1.0", PATCHES
     ),
     # the planner: adaptive sampling
     Mutation(
@@ -2067,6 +2072,12 @@ MUTATIONS = (
         ("test_place_locked_speckle",),
     ),
     Mutation(
+        "batch/class of a name that is a number",
+        'r"[_\\W]*\\d+$", "", name) or name',
+        'r"[_\\W]*\\d+$", "", name)',
+        ("batch/test_batch::test_bodies_whose_names_differ_by_a_final_number_are_one_class",),
+    ),
+    Mutation(
         "digest/surface",
         "digest.update(repr((scene.surface_z_m, scene.surface_roughness_m)).encode())",
         "",
@@ -2095,24 +2106,34 @@ MUTATIONS = (
         "cluster/parts that wait",
         "return len(self._parts) < self._n_workers",
         "return len(self._parts) <= self._n_workers",
-        CLUSTER,
+        ("test_cluster::test_each_worker_has_one_part_at_a_time_and_none_waits",),
+    ),
+    Mutation(
+        "cluster/one worker of several",
+        "return len(self._parts) < self._n_workers",
+        "return len(self._parts) < 1",
+        ("test_cluster::test_each_worker_has_one_part_at_a_time_and_none_waits",),
     ),
     Mutation(
         "cluster/workers that come back",
         "if self._n_workers: self._last_worker_s = now elif",
         "if self._n_workers:\n                pass\n            elif",
-        CLUSTER,
+        ("test_cluster::test_workers_may_be_away_for_less_than_half_an_hour",),
     ),
-    Mutation("cluster/interrupt while settling", "if future.done():", "if False:", CLUSTER),
-    Mutation("cluster/part that comes twice", "if part not in finished:", "if True:", CLUSTER),
     Mutation(
         "cluster/scheduler that has gone",
         "self._scheduler_loss_as_error(OSError, asyncio.TimeoutError)",
         "self._scheduler_loss_as_error()",
-        CLUSTER,
+        ("test_cluster::test_a_scheduler_that_does_not_answer_has_gone",),
     ),
-    Mutation("cluster/parts that were given up", "given_up.append(part)", "pass", CLUSTER),
-    Mutation("cluster/count of failures", "{why.allowed_failures + 1}", "{why.allowed_failures}", CLUSTER),
+    Mutation(
+        "cluster/count of failures",
+        "{why.allowed_failures + 1}",
+        "{why.allowed_failures}",
+        ("test_cluster::test_a_part_that_the_scheduler_gives_up_is_reported_with_the_last_worker",),
+    ),
+    Mutation("cluster/part that comes twice", "if part not in finished:", "if True:", GIVEN_UP),
+    Mutation("cluster/parts that were given up", "given_up.append(part)", "pass", GIVEN_UP),
     Mutation(
         "sonar files/name like a change",
         "what)) and not Path(what).exists():",

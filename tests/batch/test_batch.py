@@ -1694,6 +1694,19 @@ def test_classes_are_numbered_in_the_order_of_the_job(tmp_path):
     assert on_worker.digest == other.digest
 
 
+def test_bodies_whose_names_differ_by_a_final_number_are_one_class(tmp_path, monkeypatch):
+    path, mesh = write_job(tmp_path, 2, ""), trimesh.creation.box((1, 1, 1))
+    text = path.read_text()
+    path.write_text(text[: text.index("[[vary.bodies]]")])
+    names = ["pile_1", "pile_23", "pile - 4", "pile5", "2nd pile", "7", "12"]
+    scene = sg.Scene([sg.Body(name, mesh, sg.pose(4.0 * k)) for k, name in enumerate(names)])
+    requests = BatchRequests(read_job(path))
+    monkeypatch.setattr(requests, "scene", lambda index: scene)
+    schema = Schema(requests)
+    assert schema.classes == ["pile", "2nd pile", "7", "12"]  # a name that is a number stays
+    assert schema.class_id.tolist() == [0, 1, 1, 1, 1, 2, 3, 4]
+
+
 def test_the_page_of_batches_states_the_keys_of_the_outputs():
     page = (Path(__file__).parents[2] / "docs" / "batch.md").read_text()
     section = page.partition("### Keys of the outputs")[2].partition("### ")[0]
