@@ -1694,17 +1694,63 @@ def test_classes_are_numbered_in_the_order_of_the_job(tmp_path):
     assert on_worker.digest == other.digest
 
 
-def test_bodies_whose_names_differ_by_a_final_number_are_one_class(tmp_path, monkeypatch):
-    path, mesh = write_job(tmp_path, 2, ""), trimesh.creation.box((1, 1, 1))
+def schema_of_bodies(folder, monkeypatch, names, labels=""):
+    """Return the schema of a job with boxes of some names in its scene."""
+    path, mesh = write_job(folder, 2, labels), trimesh.creation.box((1, 1, 1))
     text = path.read_text()
-    path.write_text(text[: text.index("[[vary.bodies]]")])
-    names = ["pile_1", "pile_23", "pile - 4", "pile5", "2nd pile", "7", "12"]
+    vary, mark = text.index("[[vary.bodies]]"), "[vary.water]"
+    path.write_text(text[:vary] + text[text.index(mark) :])
     scene = sg.Scene([sg.Body(name, mesh, sg.pose(4.0 * k)) for k, name in enumerate(names)])
     requests = BatchRequests(read_job(path))
     monkeypatch.setattr(requests, "scene", lambda index: scene)
-    schema = Schema(requests)
+    return Schema(requests)
+
+
+def test_bodies_whose_names_differ_by_a_final_number_are_one_class(tmp_path, monkeypatch):
+    names = ["pile_1", "pile_23", "pile - 4", "pile5", "2nd pile", "7", "12"]
+    schema = schema_of_bodies(tmp_path, monkeypatch, names)
     assert schema.classes == ["pile", "2nd pile", "7", "12"]  # a name that is a number stays
     assert schema.class_id.tolist() == [0, 1, 1, 1, 1, 2, 3, 4]
+
+
+def test_shadows_fall_on_what_is_named_like_a_floor_or_a_wall(tmp_path, monkeypatch):
+    background = ["Seabed 1", "old Wall", "ground_plane", "Terrain", "HEIGHTMAP", "tank::Floor"]
+    labels = '[labels]\nlayers = ["shadow"]\n'
+    schema = schema_of_bodies(tmp_path, monkeypatch, ["rock", *background], labels)
+    assert schema.background(0) == background
+
+
+def test_bodies_of_no_class_are_instances_of_their_own(tmp_path, monkeypatch):
+    """Also where they are parts of one model."""
+    names, labels = (
+        ["rig::a", "rig::b", "rig::c", "rig::d"],
+        '[labels.classes]\nrigs = ["rig::a", "rig::d"]\n',
+    )
+    instances = schema_of_bodies(tmp_path, monkeypatch, names, labels).instances(0)
+    assert instances.number_of.tolist() == [0, 1, 2, 3, 1] and not instances.are_bodies
+    assert instances.names == ["", "rig", "rig::b", "rig::c", "rig::d"]
+
+
+def test_the_size_of_a_ping_is_that_of_its_arrays(tmp_path, monkeypatch):
+    labels = '[labels]\nlayers = ["body", "boxes"]\n'
+    schema = schema_of_bodies(tmp_path, monkeypatch, ["one", "two"], labels)
+    n_bins = sum(
+        one.n_beams * one.n_bins for one in BatchRequests(read_job(tmp_path / "job.toml")).sonars.values()
+    )
+    # intensities and numbers of bodies; for each sonar and body its echo, bins, and two boxes
+    assert schema.bytes_per_ping == n_bins * (4 + 2) + 2 * 2 * (4 + 4 + 16 + 16)
+
+
+def test_the_attributes_of_a_set_hold_its_sonars_and_classes(small, requests):
+    schema = Schema(requests)
+    for name, sonar in requests.sonars.items():
+        found = schema.sonar_attributes(name)
+        assert (found["sonar"], found["noise_seed"]) == (name, requests.noise_seed(name))
+        assert json.loads(found["mount"]) == requests.mounts[name].tolist()
+        assert json.loads(found["specification"])["range_max_m"] == sonar.range_max_m
+    found = schema.attributes(Manifest.load(Folder(small / "out")))
+    assert (found["title"], found["bodies"]) == ("small", ["wall", "box_1", "floor"])
+    assert (found["classes"], found["class_of_body"]) == (["fixed", "target"], [1, 2, 1])
 
 
 def test_the_page_of_batches_states_the_keys_of_the_outputs():
