@@ -2078,6 +2078,24 @@ MUTATIONS = (
         ("batch/test_batch::test_bodies_whose_names_differ_by_a_final_number_are_one_class",),
     ),
     Mutation(
+        "batch/background in capitals",
+        "any(word in name.lower() for word in BACKGROUND_WORDS)",
+        "any(word in name for word in BACKGROUND_WORDS)",
+        ("batch/test_batch::test_shadows_fall_on_what_is_named_like_a_floor_or_a_wall",),
+    ),
+    Mutation(
+        "batch/instances without a class",
+        "(model, class_id[number]) if class_id[number] else number",
+        "(model, class_id[number])",
+        ("batch/test_batch::test_bodies_of_no_class_are_instances_of_their_own",),
+    ),
+    Mutation(
+        "batch/size of a ping",
+        "for array in self.arrays(sonar))",
+        "for array in self.layers(sonar))",
+        ("batch/test_batch::test_the_size_of_a_ping_is_that_of_its_arrays",),
+    ),
+    Mutation(
         "digest/surface",
         "digest.update(repr((scene.surface_z_m, scene.surface_roughness_m)).encode())",
         "",

@@ -1732,13 +1732,18 @@ def test_bodies_of_no_class_are_instances_of_their_own(tmp_path, monkeypatch):
 
 
 def test_the_size_of_a_ping_is_that_of_its_arrays(tmp_path, monkeypatch):
-    labels = '[labels]\nlayers = ["body", "boxes"]\n'
+    labels = '[labels]\nlayers = ["body", "boxes"]\nheight = 77\n'
     schema = schema_of_bodies(tmp_path, monkeypatch, ["one", "two"], labels)
     n_bins = sum(
         one.n_beams * one.n_bins for one in BatchRequests(read_job(tmp_path / "job.toml")).sonars.values()
     )
     # intensities and numbers of bodies; for each sonar and body its echo, bins, and two boxes
     assert schema.bytes_per_ping == n_bins * (4 + 2) + 2 * 2 * (4 + 4 + 16 + 16)
+    # a body that is not there has no box
+    fills = {one.name: one.fill for one in schema.body_arrays}
+    assert fills == {"body_echo": 0, "body_bins": 0, "body_box": -1, "body_pixels": -1}
+    (pixels,) = (one for one in schema.body_arrays if one.name == "body_pixels")
+    assert pixels.attributes["fan_image_height"] == 77
 
 
 def test_the_attributes_of_a_set_hold_its_sonars_and_classes(small, requests):
