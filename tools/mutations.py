@@ -2139,6 +2139,12 @@ MUTATIONS = (
         ("test_cluster::test_workers_may_be_away_for_less_than_half_an_hour",),
     ),
     Mutation(
+        "cluster/workers that are missed at the end",
+        "while self._parts: self._has_free_worker() self._settle()",
+        "while self._parts:\n            self._settle()",
+        ("test_cluster::test_workers_that_are_away_for_longer_are_missed",),
+    ),
+    Mutation(
         "cluster/scheduler that has gone",
         "self._scheduler_loss_as_error(OSError, asyncio.TimeoutError)",
         "self._scheduler_loss_as_error()",

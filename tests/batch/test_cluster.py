@@ -239,11 +239,13 @@ def test_workers_may_be_away_for_less_than_half_an_hour(inside, tmp_path, monkey
     assert driver.done == dict.fromkeys(range(6), 1) and not counts
 
 
-def test_workers_that_are_away_for_longer_are_missed(inside, tmp_path, monkeypatch):
+@pytest.mark.parametrize("parts", [range(6), [5]], ids=["while parts begin", "while the last one is made"])
+def test_workers_that_are_away_for_longer_are_missed(inside, tmp_path, monkeypatch, parts):
     count_every_1000_s(monkeypatch, 2, 2, 0, 0)
+    monkeypatch.setattr(cluster, "POLL_S", 0.01)  # part 5 takes half a second
     missed = r"the cluster must have a worker \(got none for 1800 s; start some: dask worker tcp:"
     with pytest.raises(Error, match=missed):
-        Driver().run(inside, partial(cluster_parts.count, tmp_path), range(6))
+        Driver().run(inside, partial(cluster_parts.count, tmp_path), parts)
 
 
 def test_a_notebook_may_use_a_cluster(inside, tmp_path):
