@@ -84,6 +84,17 @@ COUNTS = ("test_counts",)
 POSES, FAN = ("test_poses",), ("test_fan_image",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("batch/test_batch",), ("test_simulator",)
+ESTIMATE = ("test_multipath::test_the_estimate_of_reflections_is_an_integral_over_the_fan",)
+EXPECTED = ("test_multipath::test_what_an_image_sees_of_a_body_is_expected_sample_by_sample",)
+BY_THE_FLOOR = ("test_multipath::test_bodies_above_the_water_do_not_echo_by_way_of_the_floor",)
+SONAR_FILES, STYLES = ("sonar/test_sonar", "test_sonar_files"), ("test_styles",)
+LEVELS = ("test_level_of_detail::test_the_patch_of_the_whole_mesh_is_halved_until_it_has_few_faces",)
+PATCHES = (
+    "test_level_of_detail::test_the_rasteriser_has_room_for_the_vertices_of_any_patch",
+    "test_level_of_detail::test_a_small_mesh_is_one_patch_and_a_larger_one_has_no_coarser_levels",
+)
+GIVEN_UP = ("test_cluster::test_parts_that_workers_died_of_are_left_to_the_caller",)
+DIGEST = ("batch/test_batch::test_the_surface_and_places_of_plumes_are_known_to_the_digest",)
 REFLECTIVITY, BOXES, WARN = ("test_state", "test_changes_per_ping"), ("test_boxes",), ("test_warn",)
 
 SEEN_ROD = "test_adaptive::test_a_thin_body_that_no_sample_met_is_seen_between_its_vertices"
@@ -780,6 +791,54 @@ MUTATIONS = (
         MULTIPATH,
     ),
     Mutation(
+        "multipath/estimate of wider sectors",
+        "(2 * t.tan_half_width / n) * (2 * half / n)",
+        "(2 / n) * (2 * half / n)",
+        ESTIMATE,
+    ),
+    Mutation(
+        "multipath/estimate of one leg",
+        "weight * math.sqrt(power), weight",
+        "weight * power, weight",
+        ESTIMATE,
+    ),
+    Mutation(
+        "multipath/estimate beyond the range",
+        "if seen[g] > 0.0 and length / seen[g] < range_max_m:",
+        "if seen[g] > 0.0:",
+        ESTIMATE,
+    ),
+    Mutation(
+        "multipath/behind a body",
+        "distance_ratio >= 1.0 - SAME_PLANE or not is_body",
+        "True",
+        ESTIMATE,
+    ),
+    Mutation(
+        "multipath/samples that an image is expected to have",
+        "solid_angle * (own_m / image_m) ** 2",
+        "solid_angle",
+        EXPECTED,
+    ),
+    Mutation("multipath/mean range of an image", "or (own_m + image_m) / 2 >= range_max_m", "", EXPECTED),
+    Mutation(
+        "multipath/bodies that nearly touch a reflector", "SAME_PLANE = 2e-3,", "SAME_PLANE = 2e-2,", EXPECTED
+    ),
+    Mutation("multipath/ceiling of an image", "up[3] - ceiling[3]", "up[3] + ceiling[3]", BY_THE_FLOOR),
+    Mutation("multipath/ceiling", "& (up_0 - up_u * uc + up_v * vc <= top * q)", "", BY_THE_FLOOR),
+    Mutation(
+        "multipath/grazing angles",
+        "is_met &= sine > 1e-6",
+        "is_met &= sine > 0.1",
+        ("test_multipath::test_a_floor_at_a_grazing_angle_returns_thrice_the_direct_echo",),
+    ),
+    Mutation(
+        "multipath/weak reflectors",
+        "MIN_REFLECTED = 1e-4",
+        "MIN_REFLECTED = 0.1",
+        ("test_multipath::test_the_reflection_coefficient_depends_on_the_angle",),
+    ),
+    Mutation(
         "cloud/lobes are lost",
         "total = min(mean + body.specular, 1.0)",
         "total = mean",
@@ -889,6 +948,23 @@ MUTATIONS = (
         "bounds[n, 0, j] - CORNER * near_m < sonar < bounds[n, 1, j] + CORNER * near_m",
         "bounds[n, 0, j] < sonar < bounds[n, 1, j]",
         CULLING,
+    ),
+    Mutation(
+        "levels/coarsest one",
+        "while top.faces is not None and len(top.faces) > COARSEST_FACES:",
+        "while False:",
+        LEVELS,
+    ),
+    Mutation(
+        "levels/one that is hardly coarser",
+        "break top = fewer return",
+        "top = fewer\n            break\n        top = fewer\n    return",
+        LEVELS,
+    ),
+    Mutation("levels/rim of a mesh", "locked = fixed[used] | (lowest", "locked = (lowest", LEVELS),
+    Mutation("levels/size of patches", "if len(joined.faces) <= MAX_PATCH_FACES:", "if True:", PATCHES),
+    Mutation(
+        "levels/cone of a patch without faces", "cone[number, 3] = -1.0", "cone[number, 3] = 1.0", PATCHES
     ),
     # the planner: adaptive sampling
     Mutation(
@@ -2007,6 +2083,110 @@ MUTATIONS = (
         "sound_speed_m_s=pulse.sound_speed_m_s",
         ("test_place_locked_speckle",),
     ),
+    Mutation(
+        "batch/class of a name that is a number",
+        'r"[_\\W]*\\d+$", "", name) or name',
+        'r"[_\\W]*\\d+$", "", name)',
+        ("batch/test_batch::test_bodies_whose_names_differ_by_a_final_number_are_one_class",),
+    ),
+    Mutation(
+        "batch/background in capitals",
+        "any(word in name.lower() for word in BACKGROUND_WORDS)",
+        "any(word in name for word in BACKGROUND_WORDS)",
+        ("batch/test_batch::test_shadows_fall_on_what_is_named_like_a_floor_or_a_wall",),
+    ),
+    Mutation(
+        "batch/instances without a class",
+        "(model, class_id[number]) if class_id[number] else number",
+        "(model, class_id[number])",
+        ("batch/test_batch::test_bodies_of_no_class_are_instances_of_their_own",),
+    ),
+    Mutation(
+        "batch/size of a ping",
+        "for array in self.arrays(sonar))",
+        "for array in self.layers(sonar))",
+        ("batch/test_batch::test_the_size_of_a_ping_is_that_of_its_arrays",),
+    ),
+    Mutation(
+        "digest/surface",
+        "digest.update(repr((scene.surface_z_m, scene.surface_roughness_m)).encode())",
+        "",
+        DIGEST,
+    ),
+    Mutation(
+        "digest/places of plumes",
+        "digest.update(repr(settings).encode() + plume.pose.tobytes())",
+        "digest.update(repr(settings).encode())",
+        DIGEST,
+    ),
+    Mutation(
+        "store/classes of bodies",
+        "return _take(class_id, ping.body_id)",
+        "return ping.body_id.astype(class_id.dtype)",
+        STORE,
+    ),
+    Mutation("store/range of the last bin", "range_max_m * 1.001 / 65535", "range_max_m / 65535", STORE),
+    Mutation(
+        "store/true ranges",
+        "acoustics.true_range_sonar(sonar).range_max_m * 1.001",
+        "sonar.range_max_m * 1.001",
+        STORE,
+    ),
+    Mutation(
+        "cluster/parts that wait",
+        "return len(self._parts) < self._n_workers",
+        "return len(self._parts) <= self._n_workers",
+        ("test_cluster::test_each_worker_has_one_part_at_a_time_and_none_waits",),
+    ),
+    Mutation(
+        "cluster/one worker of several",
+        "return len(self._parts) < self._n_workers",
+        "return len(self._parts) < 1",
+        ("test_cluster::test_each_worker_has_one_part_at_a_time_and_none_waits",),
+    ),
+    Mutation(
+        "cluster/workers that come back",
+        "if self._n_workers: self._last_worker_s = now elif",
+        "if self._n_workers:\n                pass\n            elif",
+        ("test_cluster::test_workers_may_be_away_for_less_than_half_an_hour",),
+    ),
+    Mutation(
+        "cluster/workers that are missed at the end",
+        "while self._parts: self._has_free_worker() self._settle()",
+        "while self._parts:\n            self._settle()",
+        ("test_cluster::test_workers_that_are_away_for_longer_are_missed",),
+    ),
+    Mutation(
+        "cluster/scheduler that has gone",
+        "self._scheduler_loss_as_error(OSError, asyncio.TimeoutError)",
+        "self._scheduler_loss_as_error()",
+        ("test_cluster::test_a_scheduler_that_does_not_answer_has_gone",),
+    ),
+    Mutation(
+        "cluster/count of failures",
+        "{why.allowed_failures + 1}",
+        "{why.allowed_failures}",
+        ("test_cluster::test_a_part_that_the_scheduler_gives_up_is_reported_with_the_last_worker",),
+    ),
+    Mutation("cluster/part that comes twice", "if part not in finished:", "if True:", GIVEN_UP),
+    Mutation("cluster/parts that were given up", "given_up.append(part)", "pass", GIVEN_UP),
+    Mutation(
+        "sonar files/name like a change",
+        "what)) and not Path(what).exists():",
+        "what)):",
+        SONAR_FILES,
+    ),
+    Mutation(
+        "sonar files/name with a hash", 'text.rpartition(".toml#")', '(text.partition(".toml#"))', SONAR_FILES
+    ),
+    Mutation("sonar files/defaults", "if value != field.default}", "}", SONAR_FILES),
+    Mutation(
+        "styles/16 bits",
+        "return law.bits == 16 and self.setting_of_8_bits is None",
+        "return law.bits == 16",
+        STYLES,
+    ),
+    Mutation("styles/height in a notebook", "NOTEBOOK_HEIGHT = 500", "NOTEBOOK_HEIGHT = 400", STYLES),
     Mutation(
         "batch/axes of a shift", "move[:3, 3] += shift", "move[:3, 3] += pivot[:3, :3] @ shift", REQUESTS
     ),

@@ -277,7 +277,7 @@ def make_levels(points, faces) -> Levels:
         first_half = subtree(0, n_leaves // 2)
         top = join(first_half, second_half.result(), (0, n_leaves))
     while top.faces is not None and len(top.faces) > COARSEST_FACES:
-        fewer = coarsen(top, 0, len(bounds), (top,))
+        fewer = coarsen(top, 0, n_leaves, (top,))
         if len(fewer.faces) > MAX_LEVEL_RATIO * len(top.faces):
             break
         top = fewer
@@ -309,9 +309,9 @@ def _flatten(points, top: _Patch) -> Levels:
         if patch.children:
             children = [number + 1, skip[number + 1]][: len(patch.children)]
             whole[number] = sum(whole[k] for k in children)
-            # The box also encloses the children, or culling could drop visible parts of the mesh.
-            boxes = box[children] if patch.faces is None else box[[number, *children]]
-            low, high = (boxes[:, :3] - boxes[:, 3:]).min(axis=0), (boxes[:, :3] + boxes[:, 3:]).max(axis=0)
+            # The box encloses the children, or culling could drop visible parts of the mesh. Its vertices are theirs.
+            low = (box[children, :3] - box[children, 3:]).min(axis=0)
+            high = (box[children, :3] + box[children, 3:]).max(axis=0)
             box[number] = *(low + high) / 2, *(high - low) / 2
     with_faces = [patch for patch in patches if patch.faces is not None]
     n_vertices = np.array([0 if patch.faces is None else len(patch.vertices) for patch in patches])

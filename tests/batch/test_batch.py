@@ -1377,7 +1377,7 @@ def test_a_batch_may_be_written_to_a_url(tmp_path):
         assert fsspec.filesystem("memory").cat_file(f"/batch/{name}") == data
 
 
-@pytest.mark.parametrize("bits", [1, 5, 12])
+@pytest.mark.parametrize("bits", [1, 5, 12, 22])
 def test_mantissas_are_rounded_within_the_stated_error(bits):
     values = np.exp(np.random.default_rng(0).uniform(-80, 80, 10000)).astype(np.float32)
     rounded = round_mantissa(values, bits)
@@ -1608,6 +1608,26 @@ def test_each_field_of_a_body_is_known_to_the_digest(tmp_path, monkeypatch):
     assert digest_of(replace(body)) == digests[0]
 
 
+def test_the_surface_and_places_of_plumes_are_known_to_the_digest(tmp_path, monkeypatch):
+    path = write_job(tmp_path, 2, "")
+    text = path.read_text()
+    path.write_text(text[: text.index("[[vary.bodies]]")])
+    requests, body = BatchRequests(read_job(path)), sg.Body("wall", trimesh.creation.box((1, 20, 20)))
+    digests = set()
+    for settings in (
+        {},
+        {"surface_z_m": 2.0},
+        {"surface_z_m": 2.5},
+        {"surface_z_m": 2.5, "surface_roughness_m": 1e-3},
+        {"plumes": [sg.Bubbles("plume", sg.pose(3.0))]},
+        {"plumes": [sg.Bubbles("plume", sg.pose(3.5))]},
+    ):
+        scene = sg.Scene([body, *settings.pop("plumes", ())], **settings)
+        monkeypatch.setattr(requests, "scene", lambda index, scene=scene: scene)
+        digests.add(Schema(requests).digest)
+    assert len(digests) == 6
+
+
 def test_changes_of_a_sonar_go_with_a_file_beside_the_job(tmp_path, monkeypatch):
     monkeypatch.chdir("/")
     path = write_plain_job(tmp_path, 2, 2)
@@ -1672,6 +1692,70 @@ def test_classes_are_numbered_in_the_order_of_the_job(tmp_path):
     on_worker = Job(**json.loads(Cluster("tcp://nowhere", other, "").arguments[0]))
     assert Schema(BatchRequests(on_worker)).classes == ["target", "fixed"]
     assert on_worker.digest == other.digest
+
+
+def schema_of_bodies(folder, monkeypatch, names, labels=""):
+    """Return the schema of a job with boxes of some names in its scene."""
+    path, mesh = write_job(folder, 2, labels), trimesh.creation.box((1, 1, 1))
+    text = path.read_text()
+    vary, mark = text.index("[[vary.bodies]]"), "[vary.water]"
+    path.write_text(text[:vary] + text[text.index(mark) :])
+    scene = sg.Scene([sg.Body(name, mesh, sg.pose(4.0 * k)) for k, name in enumerate(names)])
+    requests = BatchRequests(read_job(path))
+    monkeypatch.setattr(requests, "scene", lambda index: scene)
+    return Schema(requests)
+
+
+def test_bodies_whose_names_differ_by_a_final_number_are_one_class(tmp_path, monkeypatch):
+    names = ["pile_1", "pile_23", "pile - 4", "pile5", "2nd pile", "7", "12"]
+    schema = schema_of_bodies(tmp_path, monkeypatch, names)
+    assert schema.classes == ["pile", "2nd pile", "7", "12"]  # a name that is a number stays
+    assert schema.class_id.tolist() == [0, 1, 1, 1, 1, 2, 3, 4]
+
+
+def test_shadows_fall_on_what_is_named_like_a_floor_or_a_wall(tmp_path, monkeypatch):
+    background = ["Seabed 1", "old Wall", "ground_plane", "Terrain", "HEIGHTMAP", "tank::Floor"]
+    labels = '[labels]\nlayers = ["shadow"]\n'
+    schema = schema_of_bodies(tmp_path, monkeypatch, ["rock", *background], labels)
+    assert schema.background(0) == background
+
+
+def test_bodies_of_no_class_are_instances_of_their_own(tmp_path, monkeypatch):
+    """Also where they are parts of one model."""
+    names, labels = (
+        ["rig::a", "rig::b", "rig::c", "rig::d"],
+        '[labels.classes]\nrigs = ["rig::a", "rig::d"]\n',
+    )
+    instances = schema_of_bodies(tmp_path, monkeypatch, names, labels).instances(0)
+    assert instances.number_of.tolist() == [0, 1, 2, 3, 1] and not instances.are_bodies
+    assert instances.names == ["", "rig", "rig::b", "rig::c", "rig::d"]
+
+
+def test_the_size_of_a_ping_is_that_of_its_arrays(tmp_path, monkeypatch):
+    labels = '[labels]\nlayers = ["body", "boxes"]\nheight = 77\n'
+    schema = schema_of_bodies(tmp_path, monkeypatch, ["one", "two"], labels)
+    n_bins = sum(
+        one.n_beams * one.n_bins for one in BatchRequests(read_job(tmp_path / "job.toml")).sonars.values()
+    )
+    # intensities and numbers of bodies; for each sonar and body its echo, bins, and two boxes
+    assert schema.bytes_per_ping == n_bins * (4 + 2) + 2 * 2 * (4 + 4 + 16 + 16)
+    # a body that is not there has no box
+    fills = {one.name: one.fill for one in schema.body_arrays}
+    assert fills == {"body_echo": 0, "body_bins": 0, "body_box": -1, "body_pixels": -1}
+    (pixels,) = (one for one in schema.body_arrays if one.name == "body_pixels")
+    assert pixels.attributes["fan_image_height"] == 77
+
+
+def test_the_attributes_of_a_set_hold_its_sonars_and_classes(small, requests):
+    schema = Schema(requests)
+    for name, sonar in requests.sonars.items():
+        found = schema.sonar_attributes(name)
+        assert (found["sonar"], found["noise_seed"]) == (name, requests.noise_seed(name))
+        assert json.loads(found["mount"]) == requests.mounts[name].tolist()
+        assert json.loads(found["specification"])["range_max_m"] == sonar.range_max_m
+    found = schema.attributes(Manifest.load(Folder(small / "out")))
+    assert (found["title"], found["bodies"]) == ("small", ["wall", "box_1", "floor"])
+    assert (found["classes"], found["class_of_body"]) == (["fixed", "target"], [1, 2, 1])
 
 
 def test_the_page_of_batches_states_the_keys_of_the_outputs():

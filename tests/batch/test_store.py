@@ -1,6 +1,7 @@
 """The store of a batch: where pings are in its files, whatever the size of parts and chunks."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -190,17 +191,52 @@ def test_the_number_of_the_last_body_and_class_fits(n_bodies, n_classes, dtypes)
 
 
 @pytest.mark.parametrize(
-    ("name", "field", "greatest"),
-    [("range", "true_range_m", SONAR.range_max_m), ("incidence", "incidence_rad", np.pi / 2)],
+    ("name", "field", "greatest", "step"),
+    [
+        (
+            "range",
+            "true_range_m",
+            1.0009 * SONAR.range_max_m,
+            1.001 * SONAR.range_max_m / 65535,
+        ),  # of the last bin
+        ("incidence", "incidence_rad", np.pi / 2, np.pi / 2 / 254),
+        ("elevation", "elevation_rad", np.pi / 2, 1e-4),
+        ("elevation", "elevation_rad", -np.pi / 2, 1e-4),
+        ("share", "share", 1.0, 1 / 255),
+    ],
 )
-def test_the_greatest_number_is_told_from_a_missing_one(name, field, greatest):
+def test_the_greatest_number_is_told_from_a_missing_one(name, field, greatest, step):
     (_, layer) = bin_layers([name], SONAR, sg.Acoustics.ideal(), 5, n_bodies=9, n_classes=1)
-    values, step = np.float32([[greatest, np.nan, 0.6 * greatest]]), layer.attributes["scale_factor"]
+    assert layer.attributes["scale_factor"] == pytest.approx(step, rel=1e-12)
+    values = np.float32([[greatest, np.nan, 0.6 * greatest]])
     found = layer.encode(SimpleNamespace(**{field: values}), None, 0)
     assert found.dtype == layer.dtype and (found == layer.fill).tolist() == [[False, True, False]]
     np.testing.assert_allclose(
         found[0, ::2] * step, values[0, ::2], rtol=0, atol=step * 0.501
     )  # rounding of float32
+
+
+def test_the_range_of_the_last_bin_has_a_number_in_any_water():
+    """The sonar shows ranges by another speed of sound."""
+    acoustics = replace(
+        sg.Acoustics.ideal(), water=sg.Water(temperature_c=30.0), sonar_sound_speed_m_s=1400.0
+    )
+    greatest = acoustics.true_range_sonar(SONAR).range_max_m
+    assert greatest > 1.05 * SONAR.range_max_m
+    (_, layer) = bin_layers(["range"], SONAR, acoustics, 5, n_bodies=9, n_classes=1)
+    (found,) = layer.encode(SimpleNamespace(true_range_m=np.float32([greatest])), None, 0)
+    assert found * layer.attributes["scale_factor"] == pytest.approx(greatest, rel=1e-4)
+
+
+def test_classes_are_those_of_bodies_and_shadows_are_ones():
+    _, classes, shadow = bin_layers(
+        ["class", "shadow"], SONAR, sg.Acoustics.ideal(), 5, n_bodies=9, n_classes=3
+    )
+    ids, is_shadow = np.array([[0, 3], [1, 2]], np.uint16), np.array([[True, False], [False, False]])
+    ping, class_id = SimpleNamespace(body_id=ids, shadow=is_shadow), np.array([0, 2, 3, 1], np.uint8)
+    found = classes.encode(ping, class_id, 5)
+    assert found.tolist() == [[0, 1], [2, 3]] and found.dtype == classes.dtype
+    assert shadow.encode(ping, class_id, 5).tolist() == [[1, 0], [0, 0]]
 
 
 def test_the_error_of_intensities_is_as_the_attributes_state():

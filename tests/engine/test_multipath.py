@@ -10,8 +10,8 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.beamform.kernels.image_sources import GRID, estimate_reflection
-from sonar_gl.beamform.kernels.views import SECTOR
+from sonar_gl.beamform.kernels.image_sources import GRID, estimate_reflection, expect_imaged
+from sonar_gl.beamform.kernels.views import SECTOR, view_index
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import image_sampling, multipath, pipeline
 from sonar_gl.engine.flow import PingRequest
@@ -25,7 +25,7 @@ from sonar_gl.scene.reflectors import (
     planar_reflectors,
     tabulate_reflection,
 )
-from sonar_gl.sonar.samples import SectorSamples
+from sonar_gl.sonar.samples import SectorSamples, ViewSamples
 from sonar_gl.sonar.sampling import ToleranceWarning
 from sonar_gl.sonar.sector import make_sector
 from tests.support.two_bounces import TwoBounces
@@ -255,6 +255,24 @@ def test_bodies_above_the_water_do_not_echo(perfect):
         assert above.sum() > 1.2 * below.sum()
 
 
+def test_bodies_above_the_water_do_not_echo_by_way_of_the_floor(perfect, monkeypatch):
+    perfect("floor")
+    find = multipath.planar_reflectors
+    monkeypatch.setattr(
+        multipath, "planar_reflectors", lambda *of: [one for one in find(*of) if one.body is not None]
+    )
+    pile = sg.Body("pile", trimesh.creation.cylinder(0.3, 6.0), sg.pose(6, 0, 0), 0.8)
+    cut = sg.Body("pile", trimesh.creation.cylinder(0.3, 3.0), sg.pose(6, 0, -1.5), 0.8)
+    floor, sonar = slab("floor", sg.pose(0, 0, -3.5), mu=1e-6), replace(SONAR, elevation_fov_deg=100.0)
+    pose, sampling = sg.pose(0, 0, -1, 0.2, -0.1), sg.Sampling(4, 300)
+    crossing, above, below = (
+        multipath_echo(sg.Scene([floor, body], surface_z_m=z_m), pose, sonar=sonar, sampling=sampling)
+        for body, z_m in ((pile, 0.0), (pile, None), (cut, 0.0))
+    )
+    assert np.abs(crossing - below).sum() < 0.01 * below.sum()  # samples at the surface's edge
+    assert above.sum() > 1.1 * below.sum()
+
+
 def test_a_body_before_the_reflector_removes_its_multipath(perfect):
     perfect("floor")
     shield = sg.Body("shield", trimesh.creation.box((0.05, 4, 0.9)), sg.pose(5.0, 0, 0.45), 0.0)
@@ -347,6 +365,110 @@ def test_the_estimate_of_reflections_reads_no_samples_beside_a_window():
         view = image[1:], sector  # there is a row beyond the last, but none before the first
         echo = estimate_reflection(view, *nothing, 30.0, np.empty(0), np.empty(0))
         assert echo < 100, trial
+
+
+def test_the_estimate_of_reflections_is_an_integral_over_the_fan():
+    """A dense sector and a skirt of another width; each sees a wall, which one reflector stands in."""
+    sectors, walls = np.zeros(2, SECTOR), ((4.0, 1.0), (3.5, 3.0))  # distance of each, echo
+    view, limits = np.zeros((11, 22, 4), np.float32), ((0.0, 0.4, -0.3, 0.3), (-0.2, 0.25, 0.3, 0.9))
+    planes = np.array(
+        [
+            (1.0, 0.0, 0.0, 4.0),
+            (1.0, 0.0, 0.0, 4.0004),  # the same, to the rounding of views
+            (1.0, 0.0, 0.0, 4.004),  # hidden by the wall
+            (1.0, 0.0, 0.0, 3.996),  # not there, where the view shows what lies behind
+            (-1.0, 0.0, 0.0, 4.0),  # astern
+            (0.0, 0.0, 1.0, 1.5),  # the water's surface: not in the view
+        ]
+    )
+    are_bodies, coefficients = planes[:, 2] == 0.0, np.tile([0.1, 0.9, 0.3], (len(planes), 1))
+    pattern, range_m = np.array([0.0, 1.0, 0.2]), 4.4
+    expected, direct = np.zeros(len(planes)), 0.0
+    for k, ((distance_m, echo), (azimuth, half_width, low, high)) in enumerate(
+        zip(walls, limits, strict=True)
+    ):
+        view[:10, 11 * k : 11 * k + 10] = 1 / distance_m, 0.0, 0.0, echo
+        step_u, step_v = 2 * half_width / 9, 1.2 * (high - low) / 9
+        lattice = -half_width, step_u, 0.0, low - 0.1, 0.0, step_v, 1 / step_u, 0.0, 0.0, 1 / step_v
+        outline = math.cos(azimuth), math.sin(azimuth), half_width, low, high
+        sectors[k] = (*outline, *lattice, 11 * k, 10, 10)
+        # directions in the middles of a fine grid, and the solid angle of each cell
+        middles = (np.arange(500) + 0.5) / 500
+        u, tan = np.meshgrid(half_width * (2 * middles - 1), low + (high - low) * middles)
+        v, length = tan * np.sqrt(1 + u * u), np.sqrt(1 + u * u) * np.sqrt(1 + tan * tan)
+        solid_angle = 2 * half_width * (high - low) / 500**2 * np.sqrt(1 + u * u) / length**3
+        power = np.interp(v / length, [-1, 0, 1], pattern)
+        seen_m = distance_m * length
+        direct += (solid_angle * power * echo / seen_m)[seen_m < range_m].sum()
+        ray = np.stack([np.cos(azimuth) + np.sin(azimuth) * u, np.sin(azimuth) - np.cos(azimuth) * u, v])
+        for p, plane in enumerate(planes):
+            sine = np.tensordot(plane[:3], ray / length, 1)
+            with np.errstate(divide="ignore"):
+                met_m = plane[3] / sine
+            is_met = (sine > 0) & (met_m < range_m) & (met_m < 1.0002 * seen_m)
+            if are_bodies[p]:
+                is_met &= met_m > 0.9998 * seen_m
+            share = np.interp(sine, [0, 0.5, 1], coefficients[p])
+            expected[p] += (solid_angle * np.sqrt(power) * share)[is_met].sum()
+    found = np.empty(len(planes))
+    echo = estimate_reflection((view, sectors), planes, are_bodies, coefficients, range_m, pattern, found)
+    # the ends of ranges, and of the surface, lie between directions that are 1/24 or 1/12 of a sector apart
+    assert echo == pytest.approx(direct, rel=0.01)
+    np.testing.assert_allclose(found, expected, rtol=0.01)
+    assert (expected > 0).tolist() == [True, True, False, False, False, True]
+
+
+def test_what_an_image_sees_of_a_body_is_expected_sample_by_sample():
+    """Of random planes, of some that lie in the reflector or 1 % before it, and of some that are too far away."""
+    rng, (normal, offset_m) = np.random.default_rng(4), (np.array([0.6, 0.48, -0.64]), 2.0)
+    sector, pattern, range_m, step = make_sector(0.3, 0.5, 40, 30, (-0.5, 0.4), 0.25), [0.9, 0.4, 0.1], 3.0, 3
+    u, v = sector.sample_coordinates()
+    turn = np.array([[math.cos(0.3), -math.sin(0.3), 0], [math.sin(0.3), math.cos(0.3), 0], [0, 0, 1]])
+    ray = np.stack([np.ones_like(u), -u, v], axis=-1) @ turn.T
+    body = rng.integers(1, 6, u.shape).astype(np.uint16)
+    plane_echo = np.zeros((*u.shape, 4), np.float32)
+    length, q_of_plane = np.linalg.norm(ray, axis=-1), ray @ normal / offset_m
+    q = np.select([body == 1, body == 2], [q_of_plane, 1.01 * q_of_plane], rng.uniform(0.2, 0.6, u.shape))
+    plane_echo[..., 0], plane_echo[..., 3] = np.where(body == 3, -q, q), rng.uniform(0.5, 1, u.shape)
+    plane_echo[body == 4, 3] = 0
+    view = ViewSamples((SectorSamples(sector, plane_echo, body),), plane_echo, (0,), body_id=body)
+    sums = np.zeros((4, 6))
+    expect_imaged(
+        (plane_echo, body),
+        view.sectors[0].lattice,
+        view_index(view).sectors,
+        np.array([*normal, offset_m]),
+        step,
+        range_m,
+        np.array(pattern),
+        sums,
+    )
+
+    def power(sine):
+        return np.interp(sine, [-1, 0, 1], pattern)
+
+    read = np.zeros(u.shape, bool)
+    read[step // 2 :: step, step // 2 :: step] = True
+    read &= (plane_echo[..., 0] > 0) & (plane_echo[..., 3] > 0)
+    place = ray / np.where(read, plane_echo[..., 0], 1.0)[..., None].astype(float)
+    before_m = offset_m - place @ normal
+    mirrored = place + 2 * before_m[..., None] * normal
+    own_m, image_m = np.linalg.norm(place, axis=-1), np.linalg.norm(mirrored, axis=-1)
+    area = np.linalg.det([sector.u[1:], sector.v[1:]])
+    solid_angle = area / length**3
+    there = mirrored @ turn / np.abs(mirrored @ turn[:, :1])
+    is_seen = read & (there[..., 0] > 0) & (np.abs(there[..., 1]) < math.tan(0.5))
+    tan = there[..., 2] / np.hypot(1, there[..., 1])
+    is_seen &= (tan > -0.5) & (tan < 0.4) & (before_m > 2e-3 * own_m) & ((own_m + image_m) / 2 < range_m)
+    # a surface that fills a solid angle here fills one by the square of the distances there
+    imaged = solid_angle * (own_m / image_m) ** 2 / (area / np.linalg.norm(there, axis=-1) ** 3)
+    echo, here = plane_echo[..., 3] * solid_angle / own_m, power(place[..., 2] / own_m)
+    one_way = echo * np.sqrt(here * power(mirrored[..., 2] / image_m))
+    terms = read, imaged * is_seen, echo * here * read, one_way * is_seen
+    expected = [np.bincount(body.ravel(), term.ravel(), 6) for term in terms]
+    np.testing.assert_allclose(sums, expected, rtol=1e-6)  # fastmath and float32 echoes
+    assert (sums[1] > 0).tolist() == [False, False, True, False, False, True]
+    assert (read & (before_m > 2e-3 * own_m) & ((own_m + image_m) / 2 >= range_m)).any()
 
 
 def test_weak_reflectors_are_not_drawn(perfect, monkeypatch):
@@ -561,6 +683,27 @@ def test_deep_water_does_not_hide_bodies(depth_m):
         # the driver draws bodies that touch the surface's plane; others are partly rasterized in software
         np.testing.assert_allclose(*pings, rtol=1e-4, atol=1e-6)
         assert pings[0].any()
+
+
+def test_a_floor_at_a_grazing_angle_returns_thrice_the_direct_echo(perfect):
+    """Both ways of a single bounce and the double bounce are as long as the direct way, to 0.3 %."""
+    perfect("floor")
+    floor, target = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), ball(10, 0, 0.25, 0.03)
+    pose, sampling = sg.pose(0, 0, 0.25), sg.Sampling(16, 3000)
+    with sg.Simulator(sg.Scene([target]), SONAR, IDEAL, sampling) as simulator:
+        straight = simulator.ping(pose).intensity.sum(dtype=np.float64)
+    # samples are 2.6 mm apart, an eleventh of the ball's radius
+    assert multipath_echo(sg.Scene([floor, target]), pose, sampling=sampling).sum() == pytest.approx(
+        3 * straight, rel=0.03
+    )
+
+
+def test_what_leaves_the_fan_does_not_come_back_by_the_surface(perfect):
+    """The fan sees the surface, but the ball ahead only directly: by the surface it lies 18 degrees above the fan."""
+    perfect()
+    scene, pose = sg.Scene([ball(6, 0, -3, 0.3)], surface_z_m=0.0), sg.pose(0, 0, -3, 0, -0.2)
+    sonar = replace(SONAR, elevation_fov_deg=30.0)
+    assert not multipath_echo(scene, pose, sonar=sonar, sampling=sg.Sampling(4, 150)).any()
 
 
 def test_a_convex_body_does_not_reflect_itself(perfect):
@@ -971,7 +1114,7 @@ def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
     floor, pose = slab("floor", sg.pose(0, 0, -0.5), mu=1e-6), sg.pose(0, 0, 2.0)
     scene, sonar = sg.Scene([floor, ball(10, 0, 2.0, 0.05)]), replace(SONAR, elevation_fov_deg=60.0)
     out = []
-    for loss in (np.ones(N_SINES), slope):
+    for loss in (np.ones(N_SINES), slope, np.full(N_SINES, 0.05)):
         monkeypatch.setattr(
             multipath,
             "planar_reflectors",
@@ -982,5 +1125,6 @@ def test_the_reflection_coefficient_depends_on_the_angle(perfect, monkeypatch):
         out.append(multipath_echo(scene, pose, sonar=sonar, sampling=sg.Sampling(8, 1500)).sum(axis=0))
     sine = 4.0 / np.hypot(10.0, 4.0)
     once, twice = (np.abs(sonar.range_m - r) < 0.15 for r in (10.385, 10.770))
-    assert out[1][once].sum() / out[0][once].sum() == pytest.approx(sine, rel=0.01)
-    assert out[1][twice].sum() / out[0][twice].sum() == pytest.approx(sine**2, rel=0.01)
+    for found, share in ((out[1], sine), (out[2], 0.05)):
+        assert found[once].sum() / out[0][once].sum() == pytest.approx(share, rel=0.01)
+        assert found[twice].sum() / out[0][twice].sum() == pytest.approx(share**2, rel=0.01)

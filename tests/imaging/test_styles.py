@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.imaging.styles import DemarcoStyle, FanStyle
+from sonar_gl.imaging.styles import DARK_BLUE, DemarcoStyle, FanStyle, shows_echo, what_lacks_16_bits
 from tests.support.fan_ping import fan_ping
 
 
@@ -32,6 +32,32 @@ def test_a_notebook_shows_the_picture_of_a_ping():
     shown = cv2.imdecode(np.frombuffer(ping._repr_png_(), np.uint8), cv2.IMREAD_COLOR)
     np.testing.assert_array_equal(shown[..., ::-1], picture)
     assert sg.Ping(None, None, None)._repr_png_() is None  # a notebook shows its text
+
+
+@pytest.mark.parametrize(
+    ("colormap", "axes", "setting"),
+    [
+        ("gray", False, None),
+        ("gray", True, "axes"),
+        ("hot", False, "colormap hot"),
+        ("hot", True, "colormap hot"),
+    ],
+)
+def test_pictures_in_gray_without_axes_have_place_for_16_bits(colormap, axes, setting):
+    style = FanStyle(90, colormap, axes)
+    assert style.setting_of_8_bits == setting
+    assert style.holds_16_bits(sg.Counts(bits=16)) == (setting is None)
+    assert not style.holds_16_bits(sg.Counts(bits=8))
+    assert what_lacks_16_bits(style, ["npz"]) is None  # a file of intensities
+    for formats in (["png"], ["npz", "png"]):
+        assert what_lacks_16_bits(style, formats) == setting
+    assert what_lacks_16_bits(style, ["png", "mp4"]) == "format mp4"
+
+
+def test_a_founding_papers_picture_shows_an_echo_where_it_is_neither_dark_blue_nor_black():
+    without, echoes = [(0, 0, 0), (0, 0, DARK_BLUE)], [(0, 0, 255), (0, 4, DARK_BLUE), (4, 0, DARK_BLUE)]
+    picture = np.array([without + echoes], np.uint8)
+    assert shows_echo(picture).tolist() == [[False, False, True, True, True]]
 
 
 def test_unknown_colour_map():

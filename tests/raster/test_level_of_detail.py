@@ -194,6 +194,21 @@ def test_patches_form_a_tree(tree):
     assert levels.n_faces[0] < 1000, "there must be coarser levels"
 
 
+def test_the_patch_of_the_whole_mesh_is_halved_until_it_has_few_faces(tree):
+    name, _, _, levels = tree
+    chain = [0]
+    while len(children := children_of(levels, chain[-1])) == 1:
+        chain += children
+    n_faces = levels.n_faces[chain[::-1]]
+    if name == "hills":  # open: nearly all that is left lies on its rim, which stays
+        assert len(chain) == 1 and detail.COARSEST_FACES < n_faces[0] < 1.2 * 4 * 69
+        return
+    assert len(chain) >= 3 and (np.diff(levels.error_m[chain]) < 0).all()
+    # each collapsed edge removes two faces
+    assert (np.abs(n_faces[1:] - n_faces[:-1] // 2) <= 1).all()
+    assert n_faces[-1] <= detail.COARSEST_FACES < n_faces[-2]
+
+
 def cut(levels, take):
     """Return a cut through the tree: the patches that `take` accepts, without their descendants."""
     out, number = [], 0
@@ -292,6 +307,7 @@ def test_a_small_mesh_is_one_patch_and_a_larger_one_has_no_coarser_levels(monkey
     assert levels.n_faces[~levels.leaf].sum() == 0
     assert np.isinf(levels.error_m[~levels.leaf]).all()
     assert levels.n_faces[levels.leaf].sum() == len(faces)
+    assert (levels.cone[~levels.leaf, 3] == -1).all()  # faces in any direction may be below
     # the box of the whole mesh, though the root has no faces
     np.testing.assert_allclose(levels.box[0], [0, 0, 0, 1, 1, 1], atol=1e-2)
 
@@ -378,9 +394,13 @@ def test_stable_argsort(n):
     assert np.array_equal(stable_argsort(costs), np.argsort(costs, kind="stable"))
 
 
-def test_the_rasteriser_has_room_for_the_vertices_of_any_patch():
+@pytest.mark.parametrize("is_simplified", [False, True])
+def test_the_rasteriser_has_room_for_the_vertices_of_any_patch(monkeypatch, is_simplified):
     """Compiled code does not look where its memory ends."""
     assert detail.LEAF_FACES <= detail.MAX_PATCH_FACES and 3 * detail.MAX_PATCH_FACES <= MAX_PATCH_VERTICES
+    if is_simplified:
+        monkeypatch.setattr(detail, "MIN_FACES_TO_SIMPLIFY", 1000)
+    most = detail.MAX_PATCH_FACES if is_simplified else detail.LEAF_FACES
     soup = np.random.default_rng(2).uniform(-1, 1, (3 * 5000, 3))  # no two triangles share a vertex
     levels = make_levels(*arrays(trimesh.Trimesh(soup, np.arange(15_000).reshape(-1, 3), process=False)))
-    assert (levels.n_vertices == 3 * levels.n_faces).all() and levels.n_faces.max() <= detail.LEAF_FACES
+    assert (levels.n_vertices == 3 * levels.n_faces).all() and most / 2 < levels.n_faces.max() <= most

@@ -196,6 +196,15 @@ def test_a_file_name_may_contain_a_hash(tmp_path):
     path = tmp_path / "a.toml#b"
     path.write_text(TEXT)
     assert load_sonar(path).n_beams == 256
+    path = tmp_path / "a.toml#b.toml"
+    path.write_text(f"[c]\n{TEXT}[d]\n{TEXT}")
+    assert load_sonar(f"{path}#d").name == "d"
+
+
+def test_a_file_name_may_look_like_a_change(tmp_path):
+    path = tmp_path / "p900-45,n_beams=7.toml"
+    path.write_text(TEXT)
+    assert load_sonar(str(path)).n_beams == 256
 
 
 def test_text_may_change_fields(tmp_path):
@@ -211,6 +220,8 @@ def test_text_may_change_fields(tmp_path):
     assert error_of(load_sonar, "p900-45,bandwidth_hz=wide") == (
         "sonar 'bandwidth_hz=wide': bandwidth_hz must be a number (got 'wide')"
     )
+    message = error_of(load_sonar, "p900-45,nam=mine")
+    assert message.startswith("sonar 'nam=mine': unknown name (got 'nam'; ") and "'name'" not in message
     assert error_of(load_sonar, "p901,n_bins=7").startswith("unknown sonar (got 'p901'")
 
 
@@ -224,6 +235,9 @@ def test_an_unknown_preset_is_an_error():
         assert message.endswith(
             "?; changes of its fields follow a comma each, as in p900-45,n_beams=64,n_bins=400)"
         )
+    assert error_of(load_sonar, "DIDSON") == (
+        "unknown sonar (got 'DIDSON'; did you mean 'didson-lf' or 'didson-hf'?)"
+    )
     everything = ", ".join(sorted(presets()))
     assert error_of(load_sonar, "zzz") == f"unknown sonar (got 'zzz'; known are {everything})"
     ending = "a sonar's file must end in .toml"
@@ -268,6 +282,11 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
         f"{table}: the sonar's file must be TOML (Expected '=' after a key in a key/value pair (at line 1, column 2); "
         "a sonar is a preset's name, such as p900-45, or a .toml file)"
     )
+    capitals = tmp_path / "mine.TOML"
+    capitals.write_text("name\n")
+    assert error_of(load_sonar, capitals).endswith(
+        "(at line 1, column 5))"
+    )  # no word of another kind of file
     path.write_text("# nothing\n")
     assert error_of(load_sonar, path) == (
         f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})"
@@ -280,6 +299,8 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
     assert error_of(load_sonar, path) == (
         f"{path}: must contain a sonar's keys or its table, [sonars] (got [[sonars]], a list of tables)"
     )
+    path.write_text(f"{TEXT}beam_azimuths_deg = []\n")
+    assert "a list of tables" not in error_of(load_sonar, path)
     path.write_text(f"{TEXT}count = {{ law = 'db' }}\n")
     assert error_of(load_sonar, path) == (
         f"{path}: must contain either a sonar's keys or tables, not both "
@@ -511,8 +532,8 @@ def test_beams_of_a_lens_are_those_of_the_makers_tables():
 
 
 def test_a_preset_as_a_path_and_a_folder_as_a_file(tmp_path):
-    assert error_of(load_sonar, Path("p900-45")) == (
-        f"p900-45: the sonar's file must exist (got none there; paths start at {Path.cwd()}; a Path is that of a file: "
+    assert error_of(load_sonar, Path("P900-45")) == (
+        f"P900-45: the sonar's file must exist (got none there; paths start at {Path.cwd()}; a Path is that of a file: "
         "name a preset by text)"
     )
     assert error_of(load_sonar, tmp_path) == (

@@ -57,6 +57,13 @@ def die_at_parts(begun, made):
     cluster.make_part = make_part
 
 
+def raising(error, at, part):
+    """Raise an error for one part."""
+    if part == at:
+        raise error
+    return {"part": part}
+
+
 def failing(part):
     raise OSError(28, f"no space left for part {part}")
 

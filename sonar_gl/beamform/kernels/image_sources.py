@@ -117,9 +117,8 @@ def estimate_reflection(
     for k in range(sectors.shape[0]):
         t = sectors[k]
         middle, half = (t.tan_high + t.tan_low) / 2, (t.tan_high - t.tan_low) / 2
-        height = (t.tan_high - t.tan_low) / (sectors[0].tan_high - sectors[0].tan_low)
         n = GRID if t.tan_low < 0.0 < t.tan_high else SKIRTS_GRID
-        height *= (GRID / n) ** 2
+        area = (2 * t.tan_half_width / n) * (2 * half / n)
         for g in range(n * n):
             u = t.tan_half_width * ((2 * (g % n) + 1) / n - 1)
             v = math.sqrt(1.0 + u * u) * (middle + half * ((2 * (g // n) + 1) / n - 1))
@@ -130,7 +129,8 @@ def estimate_reflection(
                 continue
             u, v = t.sin * x[g] - t.cos * y[g], z[g]
             length = math.sqrt(1.0 + u * u + v * v)
-            weight = two_way = height / length**3
+            # v goes by the root of 1 + u^2
+            weight = two_way = area * math.sqrt(1.0 + u * u) / length**3
             # of an echo by way of a reflector, one leg may lie on the boresight
             if elevation_pattern.shape[0]:
                 power = _elevation_power(elevation_pattern, v / length)
