@@ -149,8 +149,8 @@ def stable_argsort(costs):
 
 
 @rounded_alike
-def _select(values, k):
-    """Return the number that would be at place k if the values, (n,), were sorted; they are reordered.
+def nth_smallest(values, k):
+    """Return the value that would be at place k if the values, (n,), were sorted; they are reordered.
 
     Hoare, "Algorithm 65: find", Communications of the ACM 4, 1961.
     """
@@ -222,7 +222,7 @@ def _simplify(points, faces, locked, target, left):
         if count == 0:
             break
         n_needed = (n_faces - target + 1) // 2
-        limit = _select(costs[:count].copy(), min(n_needed, count - 1)) * PASS_SLACK + 1e-30
+        limit = nth_smallest(costs[:count].copy(), min(n_needed, count - 1)) * PASS_SLACK + 1e-30
         n_cheap = 0
         for n in range(count):  # only these are sorted, since the pass ends at the limit
             if costs[n] <= limit:
