@@ -2407,6 +2407,12 @@ MUTATIONS = (
         ("test_mujoco_model",),
     ),
     Mutation(
+        "levels/equal vertices merged",
+        "if (ordered[1:] == ordered[:-1]).any():",
+        "if False:",
+        ("test_level_of_detail",),
+    ),
+    Mutation(
         "levels/mesh inside out",
         "if closed < 0: faces = faces[:, ::-1]",
         "if closed < 0:\n        pass",

@@ -103,10 +103,10 @@ def measure_patch(points, faces, box, cone, moment):
 
 
 @rounded_alike
-def _longest_axis(points, part):
-    """Return the axis, 0..2, along which some of the points, (N, 3), extend furthest; the first of equal ones."""
+def _longest_axis(points):
+    """Return the axis, 0..2, along which the points, (N, 3), extend furthest; the first of equal ones."""
     low, high = np.full(3, np.inf, points.dtype), np.full(3, -np.inf, points.dtype)
-    for n in part:
+    for n in range(points.shape[0]):
         for k in range(3):
             low[k], high[k] = min(low[k], points[n, k]), max(high[k], points[n, k])
     return (high - low).argmax()
@@ -114,17 +114,34 @@ def _longest_axis(points, part):
 
 def split_faces(points, faces) -> tuple[np.ndarray, np.ndarray]:
     """Halve the faces recursively along their longest extent; return their order and the bounds of leaves in it."""
-    middles = (points[faces[:, 0]] + points[faces[:, 1]] + points[faces[:, 2]]).astype(np.float32)
-    order = np.arange(len(faces))
-    depth = max(0, math.ceil(math.log2(len(faces) / LEAF_FACES)))
-    bounds = np.linspace(0, len(faces), 2**depth + 1).astype(int)
-    for level in range(depth):
-        step = 2 ** (depth - level)
-        cuts = bounds[:-1:step], bounds[step // 2 :: step], bounds[step::step]
-        for low, middle, high in zip(*cuts, strict=True):
-            part = order[low:high]
-            along = middles[part, _longest_axis(middles, part)]
-            order[low:high] = part[np.argpartition(along, middle - low)]
+    middles, order = np.empty((len(faces), 3), np.float32), np.arange(len(faces), dtype=np.int32)
+    a, b, c = faces.T
+    for k, at in enumerate(points.T):  # one after the other: all at once would take three times the memory
+        middles[:, k] = at[a] + at[b] + at[c]
+    n_leaves = 2 ** max(0, math.ceil(math.log2(len(faces) / LEAF_FACES)))
+    bounds = np.linspace(0, len(faces), n_leaves + 1).astype(int)
+
+    def halve(low, high):
+        """Halve the faces of the leaves low..high - 1; return the leaves of both halves."""
+        middle = (low + high) // 2
+        part = slice(bounds[low], bounds[high])
+        along = middles[part, _longest_axis(middles[part])]
+        picked = np.argpartition(along, bounds[middle] - bounds[low])
+        # the middles move, too, so that those of a part stay together in memory
+        order[part], middles[part] = order[part].take(picked), middles[part].take(picked, axis=0)
+        return (low, middle), (middle, high)
+
+    def split(low, high):
+        if high - low > 1:
+            for half in halve(low, high):
+                split(*half)
+
+    if n_leaves > 1:
+        one, other = halve(0, n_leaves)
+        with ThreadPoolExecutor(1) as other_thread:
+            second_half = other_thread.submit(split, *other)
+            split(*one)
+            second_half.result()
     return order, bounds
 
 
@@ -382,11 +399,17 @@ def _merge_vertices(rows, faces):
     for column in bits.T:
         hashes = (hashes ^ column) * np.uint64(0x9E3779B97F4A7C15)
         hashes ^= hashes >> np.uint64(29)
-    _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
-    inverse = inverse.ravel()
-    if not (bits == bits[first][inverse]).all():  # a hash collision
-        _, first, inverse = np.unique(bits, axis=0, return_index=True, return_inverse=True)
-    faces = inverse.ravel()[faces]
+    first = np.argsort(hashes)  # four times as fast as np.unique, which must keep equal ones in order
+    inverse = np.empty(len(first), np.int32)
+    inverse[first] = np.arange(len(first), dtype=np.int32)
+    ordered = hashes[first]
+    if (ordered[1:] == ordered[:-1]).any():
+        _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
+        inverse = inverse.ravel()
+        if not (bits == bits[first][inverse]).all():  # a hash collision
+            _, first, inverse = np.unique(bits, axis=0, return_index=True, return_inverse=True)
+            inverse = inverse.ravel()
+    faces = inverse[faces]
     proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return first, faces[proper] if proper.any() else faces
 
@@ -406,10 +429,9 @@ def mesh_with_levels(body) -> MeshWithLevels:
         points, faces = points[corners], np.arange(len(corners)).reshape(-1, 3)
         normals = None if normals is None else normals[corners]
     if len(faces) > MIN_FACES_TO_SIMPLIFY or reflectivity is not None:
-        columns = [points]
-        columns += [] if normals is None else [normals.astype(np.float64)]
-        columns += [] if reflectivity is None else [reflectivity[:, None]]
+        columns = [column for column in (points, normals, reflectivity) if column is not None]
         remaining, faces = _merge_vertices(np.column_stack(columns), faces)
+        del columns  # the levels take memory enough
         points = points[remaining]
         normals = None if normals is None else normals[remaining]
         reflectivity = None if reflectivity is None else reflectivity[remaining].astype(np.float32)
@@ -420,7 +442,7 @@ def mesh_with_levels(body) -> MeshWithLevels:
         bounds=bounds - centre,
         extremes=extreme_points(points),
         closed=abs(closed),
-        points=points[vertices].astype(np.float32),
+        points=points.astype(np.float32)[vertices],
         normals=None if normals is None else normals[vertices],
         reflectivity=None if reflectivity is None else reflectivity[vertices],
         levels=levels,

@@ -148,6 +148,31 @@ def stable_argsort(costs):
     return order
 
 
+@rounded_alike
+def nth_smallest(values, k):
+    """Return the value that would be at place k if the values, (n,), were sorted; they are reordered.
+
+    Hoare, "Algorithm 65: find", Communications of the ACM 4, 1961.
+    """
+    low, high = 0, values.shape[0] - 1
+    while low < high:
+        pivot, i, j = values[k], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if j < k:
+            low = i
+        if k < i:
+            high = j
+    return values[k]
+
+
 def simplify(points: np.ndarray, faces: np.ndarray, locked: np.ndarray, target: int) -> tuple:
     """Collapse edges of a mesh until `target` faces remain.
 
@@ -196,13 +221,17 @@ def _simplify(points, faces, locked, target, left):
                 count += 1
         if count == 0:
             break
-        order = stable_argsort(costs[:count])
         n_needed = (n_faces - target + 1) // 2
-        limit = costs[order[min(n_needed, count - 1)]] * PASS_SLACK + 1e-30
+        limit = nth_smallest(costs[:count].copy(), min(n_needed, count - 1)) * PASS_SLACK + 1e-30
+        n_cheap = 0
+        for n in range(count):  # only these are sorted, since the pass ends at the limit
+            if costs[n] <= limit:
+                pairs[n_cheap, 0], pairs[n_cheap, 1], costs[n_cheap] = pairs[n, 0], pairs[n, 1], costs[n]
+                n_cheap += 1
         touched[:] = False
         done = 0
-        for n in order:
-            if done >= n_needed or costs[n] > limit:
+        for n in stable_argsort(costs[:n_cheap]):
+            if done >= n_needed:
                 break
             a, b = pairs[n, 0], pairs[n, 1]
             if touched[a] or touched[b] or _flips(points, faces, start, about, remap, a, b):

@@ -344,10 +344,17 @@ def closedness(vertices, faces) -> int:
 def fixed_vertices(faces, n_vertices: int) -> np.ndarray:
     """Return (V,) bool: whether a vertex lies on an edge without exactly two faces."""
     out = np.zeros(n_vertices, bool)
-    a, b = faces, np.roll(faces, -1, axis=1)
-    keys = (np.minimum(a, b).astype(np.int64) * n_vertices + np.maximum(a, b)).ravel()
+    keys = np.empty((3, len(faces)), np.int64)
+    for k in range(3):  # one after the other, since all at once would take three times the memory
+        a, b = faces[:, k], faces[:, k - 1]
+        keys[k] = np.minimum(a, b)
+        keys[k] *= n_vertices
+        keys[k] += np.maximum(a, b)
+    keys = keys.ravel()
     keys.sort()
-    new = np.flatnonzero(np.diff(keys, prepend=-1))
+    is_new = np.ones(len(keys), bool)
+    is_new[1:] = keys[1:] != keys[:-1]
+    new = np.flatnonzero(is_new)
     odd = keys[new[np.diff(new, append=len(keys)) != 2]]
     out[odd // n_vertices] = out[odd % n_vertices] = True
     return out
