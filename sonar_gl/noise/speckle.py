@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import float32, uint64
 
-from sonar_gl.acoustics.beam_pattern import aperture_weights, main_lobe_edge
+from sonar_gl.acoustics.beam_pattern import aperture_field, aperture_weights, main_lobe_edge
 from sonar_gl.acoustics.pulse import convolve
 from sonar_gl.core.compiled import compiled
 from sonar_gl.noise.gaussian import standard_normal
@@ -19,9 +19,12 @@ ONE_THREAD_PRODUCT = 500_000
 # Beam widths between the ends of a fan, across its back, from which on they share less than 2 % of their intensity's
 # variance: the fan is no circle then.
 CLOSING_WIDTHS = 2.0
-LEAST_ELEMENTS = 22  # fewer waves would correlate intensities otherwise than the array, by more than 0.1 %
-# Nodes from which the fields of beams are interpolated: nodes per λ/L of azimuth, nodes that count for a beam, and the
-# shape of the Kaiser window by which they do.
+# Beam widths beyond the fan after which a sum of waves repeats, and least number of waves: with fewer, intensities
+# would correlate otherwise than the array says, by more than 0.001.
+MARGIN_WIDTHS, LEAST_ELEMENTS = 15, 22
+LOW_END = 0.018  # of the aperture, power over the mean: a pattern is cut off where it leaves an error of up to 0.001
+# Nodes whose fields make those of beams: nodes per λ/L of azimuth, nodes that count for a beam, and the shape of the
+# Kaiser window by which they do.
 OVERSAMPLING, TAPS, KAISER = 1.25, 8, 14.8
 
 
@@ -43,15 +46,15 @@ class FieldCorrelation(NamedTuple):
 
 
 class BeamNodes(NamedTuple):
-    """How white noise makes the fields of B beams: waves make those of N nodes, from which beams are interpolated.
+    """How white noise makes the fields of B beams: it is that of N nodes, or of waves that make those of nodes.
 
-    Nodes mirror one another about the middle of the fan: a node has the opposite sines and the same cosines as its
-    mirror image. Without waves the nodes themselves are white.
+    Nodes mirror one another about the middle of the fan: of waves, one has the opposite sines and the same cosines as
+    its mirror image.
 
     Attributes
     ----------
     sines, cosines : (N / 2, M // 2) and (N / 2, M − M // 2) float32, weights of M waves in the first half of the nodes;
-        None where the beams are independent
+        None where nodes are white
     first, weights : (B,) int64 and (B, TAPS) float32, the first of the nodes of each beam and their weights
     """
 
@@ -77,18 +80,21 @@ def beam_nodes(
     """Return how independent normals make B beams with the correlation of a line array, of unit power.
 
     If no two beams overlap, they are independent: beams one width apart share 2 % of their intensity's variance, as do
-    beams of tapered arrays 1.7 widths apart.
+    beams of tapered arrays 1.7 widths apart. Otherwise intensities correlate as the array says, within 0.001.
 
     Notes
     -----
-    Each of M elements contributes a wave over azimuth, cosine and sine of one frequency. The frequencies fill
-    the band that the aperture passes evenly, and the taper weights them. For a uniform array, beams D apart
-    correlate as sinc(0.8859 D / width). A finite sum of waves is periodic. The period exceeds the fan by some
-    beam widths. A fan whose ends nearly meet is a circle, which is its own period: the width of beams is rounded
-    to a whole number of waves in it, by 6 % of beams 50 degrees wide.
+    The pattern of a beam, as a function of azimuth, has no periods shorter than the aperture passes. So white noise of
+    nodes that are no farther apart than λ/L, weighed by the pattern, has the correlation of the array. The pattern of
+    a taper that is low at the ends of the aperture, such as Hamming's, is cut off at TAPS nodes.
 
-    Waves are summed at nodes, fewer than beams. A beam weighs the TAPS nodes about it by a Kaiser window, whose
-    transform the waves are divided by: a wave is off by less than 1e-4 of its amplitude [1]_.
+    Of other tapers each of M elements contributes a wave over azimuth, cosine and sine of one frequency. The
+    frequencies fill the band that the aperture passes evenly, and the taper weights them. For a uniform array, beams D
+    apart correlate as sinc(0.8859 D / width). A finite sum of waves is periodic. The period exceeds the fan by some
+    beam widths. A fan whose ends nearly meet is a circle, which is its own period: the width of beams is rounded
+    to a whole number of waves in it, by 6 % of beams 50 degrees wide. Waves are summed at nodes, fewer than beams. A
+    beam weighs nodes by a Kaiser window, whose transform the waves are divided by: a wave is off by less than 1e-4 of
+    its amplitude [1]_.
 
     References
     ----------
@@ -106,42 +112,45 @@ def beam_nodes(
         return BeamNodes(None, None, first, np.eye(TAPS, dtype=np.float32)[numbers - first])
     fan_rad = azimuth[-1] - azimuth[0]
     is_circle = fan_rad > 2 * np.pi - CLOSING_WIDTHS * beam_width_rad
-    period = 2 * np.pi if is_circle else fan_rad + (6 if taper_series else 15) * beam_width_rad
+    period = 2 * np.pi if is_circle else fan_rad + MARGIN_WIDTHS * beam_width_rad
     elements = max(1, round(aperture_width(taper_series) * period / beam_width_rad))
     if not is_circle:  # the width is exact, the period follows from the number of elements
         elements = max(elements, LEAST_ELEMENTS)
         period = elements * beam_width_rad / aperture_width(taper_series)
+    step_rad = period / elements / OVERSAMPLING
+    half = math.ceil(fan_rad / step_rad / 2) + TAPS // 2  # of the number of nodes
+    place = (azimuth - (azimuth[0] + azimuth[-1]) / 2) / step_rad + (half - 0.5)
+    first = np.floor(place).astype(np.int64) - (TAPS // 2 - 1)
+    off = place[:, None] - first[:, None] - np.arange(TAPS)
+    mean_power = 1 + 2 * sum(share**2 for share in taper_series)
+    if not is_circle and aperture_weights(0.5, taper_series) ** 2 < LOW_END * mean_power:
+        weights = aperture_field(off / OVERSAMPLING, taper_series)
+        weights /= np.sqrt((weights**2).sum(axis=1, keepdims=True))
+        return BeamNodes(None, None, first, weights.astype(np.float32))
+
     positions = (np.arange(elements) - (elements - 1) / 2) / elements
     frequencies = positions / OVERSAMPLING  # in periods from node to node
-    step_rad = period / elements / OVERSAMPLING
-    half = math.ceil(fan_rad / step_rad / 2) + TAPS // 2
     phase = 2 * np.pi * (np.arange(2 * half) - (half - 0.5))[:, None] * frequencies
     # frequencies come in pairs ±f: cosine for one, sine for the other, √2 each; 0 has no partner
     waves = np.where(frequencies > 0, np.sqrt(2) * np.cos(phase), np.sqrt(2) * np.sin(phase))
     waves[:, frequencies == 0] = 1.0
     root = np.sqrt(KAISER**2 - (np.pi * TAPS * frequencies) ** 2)
     waves *= aperture_weights(positions, taper_series) * root / np.sinh(root)
-
-    place = (azimuth - (azimuth[0] + azimuth[-1]) / 2) / step_rad + (half - 0.5)
-    first = np.floor(place).astype(np.int64) - (TAPS // 2 - 1)
-    off = place[:, None] - first[:, None] - np.arange(TAPS)
     weights = np.i0(KAISER * np.sqrt(np.maximum(1 - (2 * off / TAPS) ** 2, 0)))
     of_beams = sum(weights[:, [tap]] * waves[first + tap] for tap in range(TAPS))
     weights /= np.sqrt((of_beams**2).sum(axis=1, keepdims=True))
-    sines, cosines = np.split(waves[:half], [elements // 2], axis=1)
-    return BeamNodes(
-        *(np.ascontiguousarray(one, np.float32) for one in (sines, cosines)),
-        first,
-        weights.astype(np.float32),
+    sines, cosines = (
+        np.ascontiguousarray(part, np.float32) for part in np.split(waves[:half], [elements // 2], axis=1)
     )
+    return BeamNodes(sines, cosines, first, weights.astype(np.float32))
 
 
 def _node_fields(
     nodes: BeamNodes, n_bins: int, pulse_weights: np.ndarray | None, generator: np.random.Generator
 ) -> np.ndarray:
-    """Return the fields of nodes, (N, 2, K) float32, of unit variance per part in a beam."""
-    sines, cosines = nodes.sines, nodes.cosines
-    n_white = max(len(nodes.first), TAPS) if sines is None else sines.shape[1] + cosines.shape[1]
+    """Return the fields of nodes, (N, 2, K) float32, from which those of beams have unit variance per part."""
+    sines, cosines, first, _ = nodes
+    n_white = first[-1] + TAPS if sines is None else sines.shape[1] + cosines.shape[1]
     reach = 0 if pulse_weights is None else len(pulse_weights) - 1
     white = standard_normal(generator, (2 * n_white, n_bins + reach))
     if reach:
@@ -151,8 +160,8 @@ def _node_fields(
     white, half = white.reshape(n_white, 2 * n_bins), len(sines)
     out = np.empty((2 * half, 2 * n_bins), np.float32)
     block = max(8, ONE_THREAD_PRODUCT // cosines.size // 8 * 8)
-    for first in range(0, 2 * n_bins, block):
-        part, to = white[:, first : first + block], out[:, first : first + block]
+    for start in range(0, 2 * n_bins, block):
+        part, to = white[:, start : start + block], out[:, start : start + block]
         odd, even = sines @ part[: sines.shape[1]], cosines @ part[sines.shape[1] :]
         np.add(even, odd, out=to[:half])
         np.subtract(even, odd, out=to[: half - 1 : -1])
