@@ -23,7 +23,7 @@ from sonar_gl.acoustics.pulse import (
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.worker import SecondThread, run_halves, run_rows
 from sonar_gl.noise.gaussian import standard_normal
-from sonar_gl.noise.speckle import TAPS, FieldCorrelation, aperture_width, weigh_nodes
+from sonar_gl.noise.speckle import TAPS, FieldCorrelation, aperture_width, interpolate_beams
 
 # Side of the square cells of the sea, each with independent waves. Their middles lie at whole multiples of it, since
 # sonars often lie at the origin or at round numbers: one cell makes the field there, at corners four do.
@@ -180,14 +180,6 @@ def _nodes(
     weights = np.sinc(off) * window
     weights /= weights.sum(1, keepdims=True)
     return Nodes(numbers * step, first - first.min(), weights.astype(np.float32), (most - 1) * step)
-
-
-@compiled
-def _interpolate(fields, first, weights, out):
-    """Fill out (B, 2, K) with the fields (N, 2, K) of nodes, interpolated by weights (B, TAPS) from `first` on."""
-    for b in range(uint64(len(out))):
-        for part in range(2):
-            weigh_nodes(fields, first[b], part, weights[b], out[b, part])
 
 
 @compiled
@@ -556,7 +548,7 @@ def place_locked_field(
     out = np.empty((len(nodes.first), 2, shape.n_bins), np.float32)
 
     def interpolate(rows: slice) -> None:
-        _interpolate(fields, nodes.first[rows], weights[rows], out[rows])
+        interpolate_beams(fields, nodes.first[rows], weights[rows], out[rows])
 
     run_rows(thread, interpolate, 0, len(out))
     return out

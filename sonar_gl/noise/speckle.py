@@ -169,7 +169,7 @@ def _node_fields(
 
 
 @compiled
-def weigh_nodes(fields, first, part, weights, out):
+def _weigh_nodes(fields, first, part, weights, out):
     """Fill out (K,) with a part of the fields (N, 2, K), real or imaginary, of TAPS nodes by their weights (TAPS,)."""
     a, n = weights, first
     p, q, r, s = fields[n, part], fields[n + 1, part], fields[n + 2, part], fields[n + 3, part]
@@ -185,13 +185,21 @@ def weigh_nodes(fields, first, part, weights, out):
 
 
 @compiled
+def interpolate_beams(fields, first, weights, out):
+    """Fill out (B, 2, K) with the fields of beams, from those of nodes (N, 2, K)."""
+    for b in range(uint64(len(out))):
+        for part in range(2):
+            _weigh_nodes(fields, first[b], part, weights[b], out[b, part])
+
+
+@compiled
 def _multiply(fields, first, weights, out):
     """Multiply out (B, K) by half the squared magnitude of the fields of beams, from those of nodes (N, 2, K)."""
     field = np.empty((2, out.shape[1]), np.float32)
     real, imaginary = field[0], field[1]
     for b in range(uint64(len(out))):
-        weigh_nodes(fields, first[b], 0, weights[b], real)
-        weigh_nodes(fields, first[b], 1, weights[b], imaginary)
+        _weigh_nodes(fields, first[b], 0, weights[b], real)
+        _weigh_nodes(fields, first[b], 1, weights[b], imaginary)
         row = out[b]
         for k in range(uint64(len(row))):
             row[k] *= float32(0.5) * (real[k] * real[k] + imaginary[k] * imaginary[k])
@@ -204,7 +212,7 @@ def _add(fields, first, weights, scale, total):
     for b in range(uint64(len(total))):
         weight = scale[min(b, only)]
         for part in range(2):
-            weigh_nodes(fields, first[b], part, weights[b], field)
+            _weigh_nodes(fields, first[b], part, weights[b], field)
             row = total[b, part]
             for k in range(uint64(len(row))):
                 row[k] += weight[k] * field[k]
