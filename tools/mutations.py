@@ -1244,9 +1244,13 @@ MUTATIONS = (
     Mutation("noise/waves of the second beam", "w = wave - from_other", "w = wave - from_one", NOISE),
     Mutation("noise/window between nodes", "(KAISER / 2) ** n", "(KAISER / 4) ** n", NOISE),
     Mutation(
-        "noise/mirrored beams",
-        "weight[k] * (e[k] - o[k])",
-        "weight[k] * (e[k] + o[k])",
+        "noise/pattern over white nodes", "aperture_field(off / OVERSAMPLING", "aperture_field(off", NOISE
+    ),
+    Mutation("noise/transform of the window", "* root / np.sinh(root)", "* root", NOISE),
+    Mutation(
+        "noise/mirrored nodes",
+        "np.subtract(even, odd, out=to[",
+        "np.add(even, odd, out=to[",
         NOISE,
     ),
     Mutation(

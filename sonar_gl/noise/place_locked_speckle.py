@@ -23,7 +23,7 @@ from sonar_gl.acoustics.pulse import (
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.worker import SecondThread, run_halves, run_rows
 from sonar_gl.noise.gaussian import standard_normal
-from sonar_gl.noise.speckle import FieldCorrelation, aperture_width
+from sonar_gl.noise.speckle import TAPS, FieldCorrelation, aperture_width, interpolate_beams
 
 # Side of the square cells of the sea, each with independent waves. Their middles lie at whole multiples of it, since
 # sonars often lie at the origin or at round numbers: one cell makes the field there, at corners four do.
@@ -31,9 +31,9 @@ CELL_M = 0.5
 FADE_M = 0.1  # width of the cross-fade between two cells
 FURTHEST_M = (CELL_M + FADE_M) / 2 * math.sqrt(2)  # of a sonar from the middle of a cell whose field it has
 CHUNK = 64  # waves per random stream
-# Nodes between which the fields of beams are interpolated: nodes per period of the field, nodes that count, shape
+# Nodes between which the fields of beams are interpolated, TAPS for each beam: nodes per period of the field, shape
 # of the Kaiser window, and how many for each beam are worth it.
-OVERSAMPLING, TAPS, KAISER, MOST_NODES = 2.0, 8, 5.3, 0.8
+OVERSAMPLING, KAISER, MOST_NODES = 2.0, 5.3, 0.8
 # The window I₀(KAISER √z) = Σ ((KAISER/2)² z)ⁿ / n!², z <= 1: the terms that count in float64
 KAISER_WINDOW = tuple(((KAISER / 2) ** n / math.factorial(n)) ** 2 for n in range(20))
 # least number of waves in an aperture; the outermost count in part, so that it slides smoothly
@@ -180,25 +180,6 @@ def _nodes(
     weights = np.sinc(off) * window
     weights /= weights.sum(1, keepdims=True)
     return Nodes(numbers * step, first - first.min(), weights.astype(np.float32), (most - 1) * step)
-
-
-@compiled
-def _interpolate(fields, first, weights, out):
-    """Fill out (B, 2, K) with the fields (N, 2, K) of nodes, interpolated by weights (B, 8) from `first` on."""
-    for b in range(uint64(len(out))):
-        n, a = first[b], weights[b]
-        for part in range(2):
-            to = out[b, part]
-            p, q, r, s = fields[n, part], fields[n + 1, part], fields[n + 2, part], fields[n + 3, part]
-            t, u, v, w = fields[n + 4, part], fields[n + 5, part], fields[n + 6, part], fields[n + 7, part]
-            for k in range(uint64(len(to))):
-                x = a[1] * q[k] + a[0] * p[k]
-                x = a[2] * r[k] + x
-                x = a[3] * s[k] + x
-                x = a[4] * t[k] + x
-                x = a[5] * u[k] + x
-                x = a[6] * v[k] + x
-                to[k] = a[7] * w[k] + x
 
 
 @compiled
@@ -567,7 +548,7 @@ def place_locked_field(
     out = np.empty((len(nodes.first), 2, shape.n_bins), np.float32)
 
     def interpolate(rows: slice) -> None:
-        _interpolate(fields, nodes.first[rows], weights[rows], out[rows])
+        interpolate_beams(fields, nodes.first[rows], weights[rows], out[rows])
 
     run_rows(thread, interpolate, 0, len(out))
     return out

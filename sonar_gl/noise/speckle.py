@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numba import float32, uint64
 
-from sonar_gl.acoustics.beam_pattern import aperture_weights, main_lobe_edge
+from sonar_gl.acoustics.beam_pattern import aperture_field, aperture_weights, main_lobe_edge
 from sonar_gl.acoustics.pulse import convolve
 from sonar_gl.core.compiled import compiled
 from sonar_gl.noise.gaussian import standard_normal
@@ -19,9 +19,13 @@ ONE_THREAD_PRODUCT = 500_000
 # Beam widths between the ends of a fan, across its back, from which on they share less than 2 % of their intensity's
 # variance: the fan is no circle then.
 CLOSING_WIDTHS = 2.0
-BINS_TOGETHER = (
-    64  # of several such products: fewer would be added to parts of cache lines, in another page each
-)
+# Beam widths beyond the fan after which a sum of waves repeats, and least number of waves: with fewer, intensities
+# would correlate otherwise than the array says, by more than 0.001.
+MARGIN_WIDTHS, LEAST_ELEMENTS = 15, 22
+LOW_END = 0.018  # of the aperture, power over the mean: a pattern is cut off where it leaves an error of up to 0.001
+# Nodes whose fields make those of beams: nodes per λ/L of azimuth, nodes that count for a beam, and the shape of the
+# Kaiser window by which they do.
+OVERSAMPLING, TAPS, KAISER = 1.25, 8, 14.8
 
 
 class FieldCorrelation(NamedTuple):
@@ -41,19 +45,23 @@ class FieldCorrelation(NamedTuple):
     pulse_weights: np.ndarray | None = None
 
 
-class FieldBlock(NamedTuple):
-    """The field of some bins: even + odd in the first beams, even − odd in those that mirror them.
+class BeamNodes(NamedTuple):
+    """How white noise makes the fields of B beams: it is that of N nodes, or of waves that make those of nodes.
+
+    Nodes mirror one another about the middle of the fan: of waves, one has the opposite sines and the same cosines as
+    its mirror image.
 
     Attributes
     ----------
-    first_bin : number of the block's first bin
-    odd, even : (products, beams that mirror no other, 2 n) float32: real parts of n bins, then imaginary parts; the
-        bins of one product after those of the other
+    sines, cosines : (N / 2, M // 2) and (N / 2, M − M // 2) float32, weights of M waves in the first half of the nodes;
+        None where nodes are white
+    first, weights : (B,) int64 and (B, TAPS) float32, the first of the nodes of each beam and their weights
     """
 
-    first_bin: int
-    odd: np.ndarray
-    even: np.ndarray
+    sines: np.ndarray | None
+    cosines: np.ndarray | None
+    first: np.ndarray
+    weights: np.ndarray
 
 
 def aperture_width(taper_series: tuple[float, ...] = ()) -> float:
@@ -66,147 +74,148 @@ def aperture_width(taper_series: tuple[float, ...] = ()) -> float:
 
 
 @lru_cache(maxsize=8)
-def beam_matrix(
-    azimuth_rad: tuple[float, ...], beam_width_rad: float, taper_series: tuple[float, ...] = ()
-) -> np.ndarray | None:
-    """Return the matrix that turns M independent normals into B beams with the correlation of a line array.
+def beam_nodes(
+    azimuth_rad: tuple[float, ...], beam_width_rad: float | None, taper_series: tuple[float, ...] = ()
+) -> BeamNodes:
+    """Return how independent normals make B beams with the correlation of a line array, of unit power.
 
-    Returns
-    -------
-    (B, M) float32 with rows of unit power, the first M // 2 columns sines about the middle of the fan and the
-    others cosines; None if no two beams overlap. Independent draws serve then: beams one width apart share
-    2 % of their intensity's variance, as do beams of tapered arrays 1.7 widths apart
+    If no two beams overlap, they are independent: beams one width apart share 2 % of their intensity's variance, as do
+    beams of tapered arrays 1.7 widths apart. Otherwise intensities correlate as the array says, within 0.001.
 
     Notes
     -----
-    Each of M elements contributes a wave over azimuth, cosine and sine of one frequency. The frequencies fill
-    the band that the aperture passes evenly, and the taper weights them. For a uniform array, beams D apart
-    correlate as sinc(0.8859 D / width). A finite sum of waves is periodic. The period exceeds the fan by some
+    The pattern of a beam, as a function of azimuth, has no periods shorter than the aperture passes. So white noise of
+    nodes that are no farther apart than λ/L, weighed by the pattern, has the correlation of the array. The pattern of
+    a taper that is low at the ends of the aperture, such as Hamming's, is cut off at TAPS nodes.
+
+    Of other tapers each of M elements contributes a wave over azimuth, cosine and sine of one frequency. The
+    frequencies fill the band that the aperture passes evenly, and the taper weights them. For a uniform array, beams D
+    apart correlate as sinc(0.8859 D / width). A finite sum of waves is periodic. The period exceeds the fan by some
     beam widths. A fan whose ends nearly meet is a circle, which is its own period: the width of beams is rounded
-    to a whole number of waves in it, by 6 % of beams 50 degrees wide.
+    to a whole number of waves in it, by 6 % of beams 50 degrees wide. Waves are summed at nodes, fewer than beams. A
+    beam weighs nodes by a Kaiser window, whose transform the waves are divided by: a wave is off by less than 1e-4 of
+    its amplitude [1]_.
+
+    References
+    ----------
+    .. [1] Fessler, Sutton, "Nonuniform fast Fourier transforms using min-max interpolation", IEEE Trans. Signal
+       Process. 51, 560-574, 2003
     """
-    azimuth = np.asarray(azimuth_rad)
+    azimuth, numbers = np.asarray(azimuth_rad), np.arange(len(azimuth_rad))
     independent_widths = 1.7 if taper_series else 0.95
-    if len(azimuth) < 2 or np.diff(azimuth).min() >= independent_widths * beam_width_rad:
-        return None
-    is_circle = azimuth[0] + 2 * np.pi - azimuth[-1] < CLOSING_WIDTHS * beam_width_rad
-    period = 2 * np.pi if is_circle else 1.2 * (azimuth[-1] - azimuth[0]) + 12 * beam_width_rad
+    if (
+        beam_width_rad is None
+        or len(azimuth) < 2
+        or np.diff(azimuth).min() >= independent_widths * beam_width_rad
+    ):
+        first = np.minimum(numbers, max(len(azimuth) - TAPS, 0))
+        return BeamNodes(None, None, first, np.eye(TAPS, dtype=np.float32)[numbers - first])
+    fan_rad = azimuth[-1] - azimuth[0]
+    is_circle = fan_rad > 2 * np.pi - CLOSING_WIDTHS * beam_width_rad
+    period = 2 * np.pi if is_circle else fan_rad + MARGIN_WIDTHS * beam_width_rad
     elements = max(1, round(aperture_width(taper_series) * period / beam_width_rad))
-    if not is_circle:  # the width is exact, the period follows from the rounded number of elements
+    if not is_circle:  # the width is exact, the period follows from the number of elements
+        elements = max(elements, LEAST_ELEMENTS)
         period = elements * beam_width_rad / aperture_width(taper_series)
-    positions = np.arange(elements) - (elements - 1) / 2
-    frequencies = positions * (2 * np.pi / period)
-    phase = (azimuth - (azimuth[0] + azimuth[-1]) / 2)[:, None] * frequencies
+    step_rad = period / elements / OVERSAMPLING
+    half = math.ceil(fan_rad / step_rad / 2) + TAPS // 2  # of the number of nodes
+    place = (azimuth - (azimuth[0] + azimuth[-1]) / 2) / step_rad + (half - 0.5)
+    first = np.floor(place).astype(np.int64) - (TAPS // 2 - 1)
+    off = place[:, None] - first[:, None] - np.arange(TAPS)
+    mean_power = 1 + 2 * sum(share**2 for share in taper_series)
+    if not is_circle and aperture_weights(0.5, taper_series) ** 2 < LOW_END * mean_power:
+        weights = aperture_field(off / OVERSAMPLING, taper_series)
+        weights /= np.sqrt((weights**2).sum(axis=1, keepdims=True))
+        return BeamNodes(None, None, first, weights.astype(np.float32))
+
+    positions = (np.arange(elements) - (elements - 1) / 2) / elements
+    frequencies = positions / OVERSAMPLING  # in periods from node to node
+    phase = 2 * np.pi * (np.arange(2 * half) - (half - 0.5))[:, None] * frequencies
     # frequencies come in pairs ±f: cosine for one, sine for the other, √2 each; 0 has no partner
-    out = np.where(frequencies > 0, np.sqrt(2) * np.cos(phase), np.sqrt(2) * np.sin(phase))
-    out[:, frequencies == 0] = 1.0
-    if taper_series:
-        weights = aperture_weights(positions / elements, taper_series)
-        out = (out * (weights / np.sqrt((weights**2).sum()))).astype(np.float32)
-    else:
-        out = (out / np.sqrt(elements)).astype(np.float32)
-    out.setflags(write=False)
-    return out
+    waves = np.where(frequencies > 0, np.sqrt(2) * np.cos(phase), np.sqrt(2) * np.sin(phase))
+    waves[:, frequencies == 0] = 1.0
+    root = np.sqrt(KAISER**2 - (np.pi * TAPS * frequencies) ** 2)
+    waves *= aperture_weights(positions, taper_series) * root / np.sinh(root)
+    weights = np.i0(KAISER * np.sqrt(np.maximum(1 - (2 * off / TAPS) ** 2, 0)))
+    of_beams = sum(weights[:, [tap]] * waves[first + tap] for tap in range(TAPS))
+    weights /= np.sqrt((of_beams**2).sum(axis=1, keepdims=True))
+    sines, cosines = (
+        np.ascontiguousarray(part, np.float32) for part in np.split(waves[:half], [elements // 2], axis=1)
+    )
+    return BeamNodes(sines, cosines, first, weights.astype(np.float32))
 
 
-@lru_cache(maxsize=8)
-def sines_and_cosines(
-    azimuth_rad: tuple[float, ...], beam_width_rad: float, taper_series: tuple[float, ...] = ()
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the sine and the cosine columns of `beam_matrix`, or None where that is None.
-
-    A fan that is symmetric about its middle needs the rows of one half only: the mirror image of a beam has
-    the opposite sines and the same cosines.
-    """
-    matrix = beam_matrix(azimuth_rad, beam_width_rad, taper_series)
-    if matrix is None:
-        return None
-    azimuth, n_sines = np.asarray(azimuth_rad), matrix.shape[1] // 2
-    if np.ptp(azimuth + azimuth[::-1]) < 1e-6 * beam_width_rad:
-        matrix = matrix[: (len(matrix) + 1) // 2]
-    return np.ascontiguousarray(matrix[:, :n_sines]), np.ascontiguousarray(matrix[:, n_sines:])
-
-
-def _field_blocks(
-    correlation: FieldCorrelation, n_bins: int, generator: np.random.Generator
-) -> Iterator[FieldBlock]:
-    """Yield a correlated field of unit variance per part, bins in blocks; the arrays are reused."""
-    azimuth_rad, width_rad, taper_series, pulse_weights = correlation
-    columns = sines_and_cosines(azimuth_rad, width_rad, taper_series) if width_rad else None
-    if columns is None:
-        beams = elements = len(azimuth_rad)
-        block = 64
-    else:
-        sines, cosines = columns
-        beams, elements = len(cosines), sines.shape[1] + cosines.shape[1]
-        block = max(4, ONE_THREAD_PRODUCT // (2 * cosines.size) // 8 * 8)
-    filtered = None
-    if pulse_weights is not None and len(pulse_weights) > 1:
-        white = standard_normal(generator, (2 * elements, n_bins + len(pulse_weights) - 1))
-        filtered = convolve(white, pulse_weights).reshape(elements, 2, n_bins)
-    n_blocks, together = n_bins // block, max(1, BINS_TOGETHER // block)
-    parts = [(number, min(together, n_blocks - number), block) for number in range(0, n_blocks, together)]
-    if n_bins % block:
-        parts.append((n_blocks, 1, n_bins % block))
-    odd, even = np.zeros((2, together, beams, 2 * block), np.float32)
-    for number, n_products, n in parts:
-        if n < block:  # the last block
-            odd, even = np.zeros((2, 1, beams, 2 * n), np.float32)
-        for product in range(n_products):
-            first = (number + product) * block
-            if filtered is None:
-                normals = standard_normal(generator, (elements, 2 * n))
-            else:
-                normals = filtered[:, :, first : first + n].reshape(elements, 2 * n)
-            if columns is None:
-                even[product] = normals
-            else:
-                np.matmul(sines, normals[: sines.shape[1]], out=odd[product])
-                np.matmul(cosines, normals[sines.shape[1] :], out=even[product])
-        yield FieldBlock(number * block, odd[:n_products], even[:n_products])
+def _node_fields(
+    nodes: BeamNodes, n_bins: int, pulse_weights: np.ndarray | None, generator: np.random.Generator
+) -> np.ndarray:
+    """Return the fields of nodes, (N, 2, K) float32, from which those of beams have unit variance per part."""
+    sines, cosines, first, _ = nodes
+    n_white = first[-1] + TAPS if sines is None else sines.shape[1] + cosines.shape[1]
+    reach = 0 if pulse_weights is None else len(pulse_weights) - 1
+    white = standard_normal(generator, (2 * n_white, n_bins + reach))
+    if reach:
+        white = convolve(white, pulse_weights)
+    if sines is None:
+        return white.reshape(n_white, 2, n_bins)
+    white, half = white.reshape(n_white, 2 * n_bins), len(sines)
+    out = np.empty((2 * half, 2 * n_bins), np.float32)
+    block = max(8, ONE_THREAD_PRODUCT // cosines.size // 8 * 8)
+    for start in range(0, 2 * n_bins, block):
+        part, to = white[:, start : start + block], out[:, start : start + block]
+        odd, even = sines @ part[: sines.shape[1]], cosines @ part[sines.shape[1] :]
+        np.add(even, odd, out=to[:half])
+        np.subtract(even, odd, out=to[: half - 1 : -1])
+    return out.reshape(2 * half, 2, n_bins)
 
 
 @compiled
-def _multiply(first, odd, even, out):
-    """Multiply bins of out (B, K), from `first` on, by half the squared magnitude of a `FieldBlock`."""
-    n = uint64(even.shape[2] // 2)
-    for b in range(uint64(even.shape[1])):
-        mirrored = uint64(len(out) - 1 - b)
-        for product in range(uint64(len(even))):
-            e, o = even[product, b], odd[product, b]
-            start = uint64(first) + product * n
-            row = out[b, start : start + n]
-            for k in range(n):
-                real, imaginary = e[k] + o[k], e[k + n] + o[k + n]
-                row[k] *= float32(0.5) * (real * real + imaginary * imaginary)
-            if mirrored >= even.shape[1]:
-                row = out[mirrored, start : start + n]
-                for k in range(n):
-                    real, imaginary = e[k] - o[k], e[k + n] - o[k + n]
-                    row[k] *= float32(0.5) * (real * real + imaginary * imaginary)
+def _weigh_nodes(fields, first, part, weights, out):
+    """Fill out (K,) with a part of the fields (N, 2, K), real or imaginary, of TAPS nodes by their weights (TAPS,)."""
+    a, n = weights, first
+    p, q, r, s = fields[n, part], fields[n + 1, part], fields[n + 2, part], fields[n + 3, part]
+    t, u, v, w = fields[n + 4, part], fields[n + 5, part], fields[n + 6, part], fields[n + 7, part]
+    for k in range(uint64(len(out))):
+        x = a[1] * q[k] + a[0] * p[k]
+        x = a[2] * r[k] + x
+        x = a[3] * s[k] + x
+        x = a[4] * t[k] + x
+        x = a[5] * u[k] + x
+        x = a[6] * v[k] + x
+        out[k] = a[7] * w[k] + x
 
 
 @compiled
-def _add(first, odd, even, scale, total):
-    """Add scale, (B, K) or (1, K), times a `FieldBlock` to bins of total (B, 2, K), from `first` on."""
-    n, only = uint64(even.shape[2] // 2), uint64(len(scale) - 1)
-    for b in range(uint64(even.shape[1])):
-        mirrored = uint64(len(total) - 1 - b)
-        for product in range(uint64(len(even))):
-            e, o = even[product, b], odd[product, b]
-            start = uint64(first) + product * n
-            past = start + n
-            weight = scale[min(uint64(b), only), start:past]
-            real, imaginary = total[b, 0, start:past], total[b, 1, start:past]
-            for k in range(n):
-                real[k] += weight[k] * (e[k] + o[k])
-                imaginary[k] += weight[k] * (e[k + n] + o[k + n])
-            if mirrored >= even.shape[1]:
-                weight = scale[min(mirrored, only), start:past]
-                real, imaginary = total[mirrored, 0, start:past], total[mirrored, 1, start:past]
-                for k in range(n):
-                    real[k] += weight[k] * (e[k] - o[k])
-                    imaginary[k] += weight[k] * (e[k + n] - o[k + n])
+def interpolate_beams(fields, first, weights, out):
+    """Fill out (B, 2, K) with the fields of beams, from those of nodes (N, 2, K)."""
+    for b in range(uint64(len(out))):
+        for part in range(2):
+            _weigh_nodes(fields, first[b], part, weights[b], out[b, part])
+
+
+@compiled
+def _multiply(fields, first, weights, out):
+    """Multiply out (B, K) by half the squared magnitude of the fields of beams, from those of nodes (N, 2, K)."""
+    field = np.empty((2, out.shape[1]), np.float32)
+    real, imaginary = field[0], field[1]
+    for b in range(uint64(len(out))):
+        _weigh_nodes(fields, first[b], 0, weights[b], real)
+        _weigh_nodes(fields, first[b], 1, weights[b], imaginary)
+        row = out[b]
+        for k in range(uint64(len(row))):
+            row[k] *= float32(0.5) * (real[k] * real[k] + imaginary[k] * imaginary[k])
+
+
+@compiled
+def _add(fields, first, weights, scale, total):
+    """Add scale, (B, K) or (1, K), times the fields of beams, from those of nodes (N, 2, K), to total (B, 2, K)."""
+    field, only = np.empty(total.shape[2], np.float32), uint64(len(scale) - 1)
+    for b in range(uint64(len(total))):
+        weight = scale[min(b, only)]
+        for part in range(2):
+            _weigh_nodes(fields, first[b], part, weights[b], field)
+            row = total[b, part]
+            for k in range(uint64(len(row))):
+                row[k] += weight[k] * field[k]
 
 
 @compiled
@@ -239,8 +248,9 @@ def add_field(
     amplitude : (B, K) float32, or (1, K) for all beams; its square is E|field|²
     """
     scale = np.multiply(amplitude, np.float32(np.sqrt(0.5)), dtype=np.float32)
-    for block in _field_blocks(correlation, total.shape[2], generator):
-        _add(*block, scale, total)
+    nodes = beam_nodes(*correlation[:3])
+    fields = _node_fields(nodes, total.shape[2], correlation.pulse_weights, generator)
+    _add(fields, nodes.first, nodes.weights, scale, total)
 
 
 def multiply_by_speckle(
@@ -264,5 +274,6 @@ def multiply_by_speckle(
     ----------
     .. [1] Goodman, Speckle Phenomena in Optics, 2007 (van Cittert-Zernike theorem)
     """
-    for block in _field_blocks(correlation, intensity.shape[1], generator):
-        _multiply(*block, intensity)
+    nodes = beam_nodes(*correlation[:3])
+    fields = _node_fields(nodes, intensity.shape[1], correlation.pulse_weights, generator)
+    _multiply(fields, nodes.first, nodes.weights, intensity)

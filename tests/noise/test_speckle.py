@@ -6,17 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sonar_gl.acoustics.beam_pattern import aperture_weights, taper_series
 from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import (
+    TAPS,
     FieldCorrelation,
     add_field,
     aperture_width,
-    beam_matrix,
+    beam_nodes,
     multiply_by_speckle,
-    sines_and_cosines,
 )
 from tests.support.even_ping import (
     BEAM_WIDTH_RAD,
@@ -43,6 +44,18 @@ def speckle(azimuth_rad, n_bins, beam_width_rad, generator) -> np.ndarray:
     out = np.ones((len(azimuth_rad), n_bins), np.float32)
     multiply_by_speckle(out, FieldCorrelation(tuple(azimuth_rad.tolist()), beam_width_rad), generator)
     return out
+
+
+def beam_matrix(azimuth_rad, beam_width_rad, series=()) -> np.ndarray:
+    """Return the (B, M) float64 matrix that turns independent normals into the fields of beams."""
+    nodes = beam_nodes(tuple(np.asarray(azimuth_rad).tolist()), float(beam_width_rad), series)
+    if nodes.sines is None:
+        of_nodes = np.eye(nodes.first[-1] + TAPS)
+    else:
+        mirrored = np.column_stack([-nodes.sines, nodes.cosines])[::-1]
+        of_nodes = np.concatenate([np.column_stack([nodes.sines, nodes.cosines]), mirrored])
+    near = nodes.first[:, None] + np.arange(TAPS)
+    return np.einsum("bt,btm->bm", nodes.weights.astype(np.float64), of_nodes[near])
 
 
 def fan(fov_deg, n_beams) -> np.ndarray:
@@ -114,20 +127,20 @@ def test_overlapping_beams_share_speckle(spacing_deg, field, intensity):
     assert intensity == pytest.approx(field**2, abs=1e-4)
 
 
-@pytest.mark.parametrize("fov_deg", [10.0, 45.0, 130.0, 360.0])
+@pytest.mark.parametrize("fov_deg", [2.0, 10.0, 45.0, 130.0, 360.0])
 def test_correlation_of_all_pairs_of_beams(fov_deg):
     """From the matrix itself: near pairs correlate as the array dictates, distant ones not at all."""
     azimuth = fan(fov_deg, 512)
-    matrix = beam_matrix(tuple(azimuth.tolist()), float(BEAM_WIDTH_RAD)).astype(np.float64)
+    matrix = beam_matrix(azimuth, BEAM_WIDTH_RAD)
     apart = np.abs(np.subtract.outer(azimuth, azimuth))
     apart = np.minimum(apart, 2 * np.pi - apart)  # a full circle closes
     expected = np.sinc(UNIFORM_WIDTH * apart / BEAM_WIDTH_RAD)
     found = matrix @ matrix.T
     np.testing.assert_allclose(np.diag(found), 1, rtol=0, atol=1e-6)  # float32 rows of unit power
-    # a sum of M waves in place of the integral errs by (π t/M)²/6 of it; M is least, 21, for 10 degrees
+    # a sum of M waves in place of the integral errs by (π t/M)²/6 of it; M is 22 or more
     near = apart < BEAM_WIDTH_RAD
     assert np.abs(found - expected)[near].max() < 1e-3
-    assert np.abs(found**2 - expected**2).max() < 1.2e-3  # of the intensity's variance, all pairs
+    assert np.abs(found**2 - expected**2).max() < 1e-3  # of the intensity's variance, all pairs
 
 
 @pytest.mark.parametrize(
@@ -136,29 +149,10 @@ def test_correlation_of_all_pairs_of_beams(fov_deg):
 def test_wide_beams_correlate_by_their_own_width(width_deg, azimuth_deg):
     """Few of their waves fit into a circle, and a whole number of them is another width."""
     azimuth = np.radians(azimuth_deg)
-    matrix = beam_matrix(tuple(azimuth.tolist()), float(np.radians(width_deg))).astype(np.float64)
+    matrix = beam_matrix(azimuth, np.radians(width_deg))
     expected = np.sinc(UNIFORM_WIDTH * np.subtract.outer(azimuth, azimuth) / np.radians(width_deg))
-    # by (π t/M)²/6, as above, M 11 or more
-    assert np.abs(matrix @ matrix.T - expected).max() < 0.02
-
-
-@pytest.mark.parametrize("middle", [0.0, 0.4])
-@pytest.mark.parametrize("n_beams", [2, 7, 64])
-def test_symmetric_fans_need_half_of_the_matrix(n_beams, middle):
-    """The beams of one half and their mirror images are all beams."""
-    azimuths = tuple((middle + np.radians(0.3) * (np.arange(n_beams) - (n_beams - 1) / 2)).tolist())
-    matrix = beam_matrix(azimuths, BEAM_WIDTH_RAD)
-    sines, cosines = sines_and_cosines(azimuths, BEAM_WIDTH_RAD)
-    assert len(sines) == len(cosines) == (n_beams + 1) // 2
-    mirrored = np.column_stack([-sines, cosines])[::-1]
-    joined = np.concatenate([np.column_stack([sines, cosines]), mirrored[n_beams % 2 :]])
-    np.testing.assert_allclose(joined, matrix, rtol=0, atol=1e-6)  # float32 of numbers below 1
-
-
-def test_uneven_fans_need_the_whole_matrix():
-    azimuths = (-0.02, 0.0, 0.01)
-    joined = np.column_stack(sines_and_cosines(azimuths, BEAM_WIDTH_RAD))
-    np.testing.assert_array_equal(joined, beam_matrix(azimuths, BEAM_WIDTH_RAD))
+    # by (π t/M)²/6, as above
+    assert np.abs(matrix @ matrix.T - expected).max() < 0.01
 
 
 @pytest.mark.parametrize(
@@ -171,26 +165,27 @@ def test_uneven_fans_need_the_whole_matrix():
     ids=["symmetric", "off_centre", "uneven"],
 )
 def test_speckle_is_the_matrix_times_normals(azimuth):
-    """8 bins fit into one block."""
     found = speckle(azimuth, 8, 2 * BEAM_WIDTH_RAD, stream(8, 0, "speckle"))
-    matrix = beam_matrix(tuple(azimuth.tolist()), 2 * BEAM_WIDTH_RAD)
+    matrix = beam_matrix(azimuth, 2 * BEAM_WIDTH_RAD)
     normals = standard_normal(stream(8, 0, "speckle"), (matrix.shape[1], 16))
     real, imaginary = np.split(matrix @ normals, 2, axis=1)
     # float32 sums of some 40 numbers of about 0.2, in another order
     np.testing.assert_allclose(found, (real**2 + imaginary**2) / 2, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("series", [(), HAMMING_SERIES], ids=["uniform", "hamming"])
 @pytest.mark.parametrize("per_beam", [False, True])
 @pytest.mark.parametrize("n_beams", [40, 41])
-def test_a_field_is_the_matrix_times_normals(n_beams, per_beam):
-    """In a symmetric fan half of the beams are mirror images of the others, each with its own amplitude."""
+def test_a_field_is_the_matrix_times_normals(n_beams, per_beam, series):
     azimuth = tuple(np.linspace(-0.2, 0.2, n_beams).tolist())
     amplitude = np.linspace(1, 3, n_beams if per_beam else 1, dtype=np.float32)[:, None] * np.ones(
         8, np.float32
     )
     found = np.zeros((n_beams, 2, 8), np.float32)
-    add_field(found, amplitude, FieldCorrelation(azimuth, 2 * BEAM_WIDTH_RAD), stream(8, 0, "speckle"))
-    matrix = beam_matrix(azimuth, 2 * BEAM_WIDTH_RAD)
+    add_field(
+        found, amplitude, FieldCorrelation(azimuth, 2 * BEAM_WIDTH_RAD, series), stream(8, 0, "speckle")
+    )
+    matrix = beam_matrix(azimuth, 2 * BEAM_WIDTH_RAD, series)
     normals = standard_normal(stream(8, 0, "speckle"), (matrix.shape[1], 16))
     expected = (matrix @ normals).reshape(n_beams, 2, 8) * amplitude[:, None] * np.sqrt(0.5)
     # float32 sums of some 40 numbers of about 0.2, in another order
@@ -199,13 +194,12 @@ def test_a_field_is_the_matrix_times_normals(n_beams, per_beam):
 
 @pytest.mark.parametrize(("n_beams", "width_rad"), [(6, 0.03), (40, 0.03), (400, 0.004)])
 def test_the_pulse_acts_on_all_bins_alike(n_beams, width_rad):
-    """Bins are filled in blocks, of many beams 16 at a time and four blocks at once; 997 is a multiple of none."""
+    """Of many beams, the fields of nodes are summed in blocks of bins; 997 is a multiple of none."""
     azimuth, weights = tuple(np.linspace(-0.2, 0.2, n_beams).tolist()), (0.5, math.sqrt(0.5), 0.5)
     found = np.zeros((n_beams, 2, 997), np.float32)
     correlation = FieldCorrelation(azimuth, width_rad, (), np.array(weights, np.float32))
     add_field(found, np.ones((1, 997), np.float32), correlation, stream(8, 0, "speckle"))
     matrix = beam_matrix(azimuth, width_rad)
-    matrix = np.eye(n_beams) if matrix is None else matrix
     normals = standard_normal(stream(8, 0, "speckle"), (2 * matrix.shape[1], 999))
     filtered = np.array([np.convolve(row, weights, "valid") for row in normals])
     expected = np.tensordot(matrix, filtered.reshape(-1, 2, 997), 1) * np.sqrt(0.5)
@@ -233,17 +227,45 @@ def test_beams_that_do_not_overlap_are_independent():
 # --- tapers
 
 
-@pytest.mark.parametrize("fov_deg", [10.0, 130.0])
-def test_a_taper_widens_the_correlation(fov_deg):
+@pytest.mark.parametrize("fov_deg", [2.0, 10.0, 130.0, 250.0])
+@pytest.mark.parametrize("width_deg", [1.0, 15.0])
+@pytest.mark.parametrize(
+    "spread", [lambda x: x, lambda x: np.arcsin(0.95 * x) / math.asin(0.95), lambda x: x**3]
+)
+def test_a_taper_widens_the_correlation(fov_deg, width_deg, spread):
     """From the matrix itself: the transform of the squared taper, at the data sheet's width."""
-    azimuth = fan(fov_deg, 256)
-    matrix = beam_matrix(tuple(azimuth.tolist()), float(BEAM_WIDTH_RAD), HAMMING_SERIES).astype(np.float64)
-    apart = np.abs(np.subtract.outer(azimuth, azimuth)) / BEAM_WIDTH_RAD
-    found = matrix @ matrix.T
+    azimuth = np.radians(fov_deg / 2) * spread(np.linspace(-1, 1, 300))
+    matrix = beam_matrix(azimuth, np.radians(width_deg), HAMMING_SERIES)
+    apart = np.abs(np.subtract.outer(azimuth, azimuth)) / np.radians(width_deg)
+    found, expected = matrix @ matrix.T, hamming_correlation(aperture_width(HAMMING_SERIES) * apart)
     np.testing.assert_allclose(np.diag(found), 1, rtol=0, atol=1e-6)
-    # a sum of few waves in place of the integral, 31 for 10 degrees
-    assert np.abs(found - hamming_correlation(aperture_width(HAMMING_SERIES) * apart)).max() < 5e-3
+    # the pattern is cut off 3.2 λ/L from the axis
+    assert np.abs(found - expected).max() < 6e-3
+    assert np.abs(found**2 - expected**2).max() < 1e-3
     assert aperture_width(HAMMING_SERIES) == pytest.approx(1.302982, abs=1e-6)
+
+
+@pytest.mark.parametrize("width_deg", [1.0, 3.0])
+def test_tapered_beams_all_around(width_deg):
+    azimuth, width_rad = fan(360.0, 512), np.radians(width_deg)
+    matrix = beam_matrix(azimuth, width_rad, HAMMING_SERIES)
+    apart = azimuth - azimuth[0]
+    apart = np.minimum(apart, 2 * np.pi - apart)
+    expected = hamming_correlation(aperture_width(HAMMING_SERIES) * apart / width_rad) ** 2
+    # a whole number of waves in the circle, 156 or more: the width is off by up to 0.5 / 156
+    assert np.abs((matrix @ matrix[0]) ** 2 - expected).max() < 3e-3
+
+
+@pytest.mark.parametrize("side_lobe_db", [20.0, 30.0, 41.0, 43.0, 60.0])
+@pytest.mark.parametrize("fov_deg", [10.0, 130.0])
+def test_taylor_arrays_correlate_as_theirs(side_lobe_db, fov_deg):
+    azimuth, series = fan(fov_deg, 256), taper_series("taylor", side_lobe_db)
+    matrix = beam_matrix(azimuth, BEAM_WIDTH_RAD, series)
+    z = (np.arange(10_000) + 0.5) / 10_000 - 0.5
+    power = aperture_weights(z, series) ** 2
+    apart = aperture_width(series) * (azimuth - azimuth[0]) / BEAM_WIDTH_RAD
+    expected = np.cos(2 * np.pi * np.multiply.outer(apart, z)) @ power / power.sum()
+    assert np.abs((matrix @ matrix[0]) ** 2 - expected**2).max() < 1e-3
 
 
 @pytest.mark.parametrize(
