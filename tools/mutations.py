@@ -1070,7 +1070,7 @@ MUTATIONS = (
         "1 / COARSER), SHEAR), -SHEAR)",
         ("test_adaptive::test_samples_as_wide_as_whole_columns_take_thin_upright_parts_by_their_width",),
     ),
-    Mutation("planner/difference of two pings", "\nERROR_FACTOR = 1.86", "\nERROR_FACTOR = 0.93", JUDGED),
+    Mutation("planner/difference of two pings", "\nERROR_FACTOR = 1.4", "\nERROR_FACTOR = 0.7", JUDGED),
     Mutation(
         "planner/weak bodies",
         "MIN_ECHO_SHARE = 5e-4",
@@ -2274,8 +2274,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/error by the number of samples",
-        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75",
-        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 0.9, 0.75",
+        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.3, 0.75",
+        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 0.65, 0.75",
         ("test_adaptive",),
     ),
     Mutation(

@@ -8,7 +8,7 @@ from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.core.compiled import added_in_any_order
 from sonar_gl.sonar.sampling import ERROR_RATE
 
-ERROR_FACTOR = 1.86  # of the error that the difference shows
+ERROR_FACTOR = 1.4  # of the error that the difference shows: 19 of 20 lie below
 
 
 def wrong_share(echo: BeamEcho, before: BeamEcho, coarser: float) -> float:

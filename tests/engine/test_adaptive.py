@@ -72,7 +72,7 @@ def test_a_smaller_tolerance_takes_more_samples_and_errs_less():
     scene, sonar = sg.Scene([ball()]), replace(SONAR, n_bins=100)
     truth = sg.reference_ping(scene, sonar, np.eye(4), IDEAL, error=0.02)
     levels, errors = [], []
-    for tolerance in (0.1, 0.03, 0.01):
+    for tolerance in (0.03, 0.01, 0.003):
         with sg.Simulator(scene, sonar, IDEAL, tolerance=tolerance) as simulator:
             ping = simulator.ping(np.eye(4))
             levels.append(level(simulator))
@@ -346,7 +346,8 @@ class TestMoving:
         assert [estimated for estimated, _ in estimates] == [True] + [False] * 39
 
     def test_a_slow_sonar_is_estimated_every_few_pings(self, monkeypatch):
-        estimates = self.estimates([sg.pose(0.001 * k) for k in range(1 + 3 * CHECK_EVERY)], monkeypatch)
+        slow = [sg.pose(0.001 * k) for k in range(1 + 3 * CHECK_EVERY)]
+        estimates = self.estimates(slow, monkeypatch, tolerance=0.05)
         assert [k for k, (estimated, _) in enumerate(estimates) if estimated] == [
             k * CHECK_EVERY for k in range(4)
         ]
@@ -697,13 +698,13 @@ class TestMoving:
                 raise SampleLimitError("too many")
             return real(sources, stage, *args, **more)
 
-        with sg.Simulator(scene, SONAR, acoustics, tolerance=0.02) as simulator:
+        with sg.Simulator(scene, SONAR, acoustics, tolerance=0.014) as simulator:
             simulator.ping(sg.pose(yaw=2.0))
             monkeypatch.setattr(ImageSources, "draw", draw)
             with pytest.warns(ToleranceWarning):
                 ping = simulator.ping(sg.pose(-2.0))
         assert refused and ping.meta["sampling"]["rows"] <= 60
-        assert ping.intensity.any() and ping.error_estimate > 0.02
+        assert ping.intensity.any() and ping.error_estimate > 0.014
 
     def test_samples_get_finer_and_coarser_again(self):
         """The sonar turns from a wall to a row of rods and back."""
@@ -1542,15 +1543,15 @@ def test_the_error_by_the_number_of_samples_bounds_that_of_discs_and_squares(n, 
 
 # samples, unevenness and strands on a body of echo 1, its echo before and as strips take it, and the error that follows
 MANY = 900
-BY_NUMBER = 1.8 * (1 + 8 / MANY) / MANY**0.75  # of 900 samples
+BY_NUMBER = 1.3 * (1 + 8 / MANY) / MANY**0.75  # of 900 samples
 SHOWN = 1.37 / math.sqrt(1 + 2**1.5)  # of a difference from half the samples
 JUDGED = {
     "by the number of samples": (MANY, 0.0, 0.0, 1.0, 1.0, BY_NUMBER),
-    "by few samples": (40, 0.0, 0.0, 1.0, 1.0, 1.8 * 1.2 / 40**0.75),
+    "by few samples": (40, 0.0, 0.0, 1.0, 1.0, 1.3 * 1.2 / 40**0.75),
     "by the difference": (MANY, 0.0, 0.0, 0.9, 1.0, 0.1 * SHOWN),
     "by the difference, as well as it may": (MANY, 0.0, 0.0, 0.864, 1.0, 0.136 * SHOWN),
     "by the difference the other way": (MANY, 0.0, 0.0, 1.2, 1.0, 0.2 * SHOWN),
-    "of so many samples the difference tells nothing": (1000, 0.0, 0.0, 0.5, 1.0, 1.8 * 1.008 / 1000**0.75),
+    "of so many samples the difference tells nothing": (1000, 0.0, 0.0, 0.5, 1.0, 1.3 * 1.008 / 1000**0.75),
     "by uneven samples": (MANY, 0.05, 0.0, 1.0, 1.0, 0.075),
     "by strands": (MANY, 0.0, 120.0, 1.0, 1.0, 2 * BY_NUMBER),
     "by strips": (MANY, 0.0, 0.0, 1.0, 0.93, math.hypot(0.07, BY_NUMBER)),
@@ -1598,7 +1599,7 @@ def test_the_error_of_a_body_is_judged_by_what_its_samples_show(
     plan = judged.plan
     assert plan.n_samples == fine.stage.fan.n_samples
     of_strips = abs(taken - 1.0) / 6.0029
-    assert plan.error_estimate == pytest.approx(1.86 * 0.01 / math.sqrt(1 + ratio**1.3) + of_strips, rel=1e-6)
+    assert plan.error_estimate == pytest.approx(1.4 * 0.01 / math.sqrt(1 + ratio**1.3) + of_strips, rel=1e-6)
     assert plan.worst_body_estimate == pytest.approx(error, rel=0.01)
     assert plan.worst_body == 2
     # widths of samples that would do: the errors fall as these to the power 1.3, and as the samples to the power 0.75
