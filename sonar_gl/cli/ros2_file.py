@@ -19,7 +19,7 @@ def _check_topic(value):
 
 
 def _text_like(example: str):
-    """Return the type of an option of several settings, which is one text here, too; tables are those of jobs."""
+    """Return the type of a key whose value is one text, as on the command line; in job files it is a table."""
     return Annotated[str, Field(description=f'give text as on the command line, such as "{example}"')]
 
 

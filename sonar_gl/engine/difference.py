@@ -12,7 +12,7 @@ ERROR_FACTOR = 1.4  # of the error that the difference shows: 19 of 20 lie below
 
 
 def wrong_share(echo: BeamEcho, before: BeamEcho, coarser: float) -> float:
-    """Return the share of an echo in wrong bins, as it nearly always stays below, by the difference from another one.
+    """Return a bound of the share of an echo in wrong bins, which 19 of 20 keep, by the difference from another one.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The sampling error model: what error the samples of a ping leave, and how many more or fewer would do.
 
 A ping is compared with one of COARSER times fewer samples. The difference of the two decreases as the error does, and
-ERROR_FACTOR times the error that it shows nearly always exceeds the error. The relative error of a small body's echo is
+ERROR_FACTOR times the error that it shows exceeds 19 of 20 errors. The relative error of a small body's echo is
 modelled by its samples (`body_error`), and is at least what the difference of that body's echo between the two pings
 shows. What the fan's strips take of a body beyond the echo of its samples may err alike in both pings: it is added. The
 constants, and the rates at which errors decrease, were fitted to random worlds (`tools/promise.py`).

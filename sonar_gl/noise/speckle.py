@@ -80,7 +80,8 @@ def beam_nodes(
     """Return how independent normals make B beams with the correlation of a line array, of unit power.
 
     If no two beams overlap, they are independent: beams one width apart share 2 % of their intensity's variance, as do
-    beams of tapered arrays 1.7 widths apart. Otherwise intensities correlate as the array says, within 0.001.
+    beams of tapered arrays 1.7 widths apart. Otherwise intensities correlate as the array says, within 0.001, but for
+    the rounded width of beams in a full circle.
 
     Notes
     -----
@@ -88,13 +89,13 @@ def beam_nodes(
     nodes that are no farther apart than λ/L, weighed by the pattern, has the correlation of the array. The pattern of
     a taper that is low at the ends of the aperture, such as Hamming's, is cut off at TAPS nodes.
 
-    Of other tapers each of M elements contributes a wave over azimuth, cosine and sine of one frequency. The
-    frequencies fill the band that the aperture passes evenly, and the taper weights them. For a uniform array, beams D
-    apart correlate as sinc(0.8859 D / width). A finite sum of waves is periodic. The period exceeds the fan by some
-    beam widths. A fan whose ends nearly meet is a circle, which is its own period: the width of beams is rounded
-    to a whole number of waves in it, by 6 % of beams 50 degrees wide. Waves are summed at nodes, fewer than beams. A
-    beam weighs nodes by a Kaiser window, whose transform the waves are divided by: a wave is off by less than 1e-4 of
-    its amplitude [1]_.
+    Of other tapers, and in a full circle, each of M elements contributes a wave over azimuth, cosine and sine of one
+    frequency. The frequencies fill the band that the aperture passes evenly, and the taper weights them. For a uniform
+    array, beams D apart correlate as sinc(0.8859 D / width). A finite sum of waves is periodic. The period exceeds the
+    fan by some beam widths. A fan whose ends nearly meet is a circle, which is its own period: the width of beams is
+    rounded to a whole number of waves in it, by 6 % of beams 50 degrees wide. Waves are summed at nodes, which are
+    fewer than beams that overlap much. A beam weighs nodes by a Kaiser window, whose transform the waves are divided
+    by: a wave is off by less than 1e-4 of its amplitude [1]_.
 
     References
     ----------

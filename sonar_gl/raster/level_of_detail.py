@@ -326,7 +326,8 @@ def _flatten(points, top: _Patch) -> Levels:
         if patch.children:
             children = [number + 1, skip[number + 1]][: len(patch.children)]
             whole[number] = sum(whole[k] for k in children)
-            # The box encloses the children, or culling could drop visible parts of the mesh. Its vertices are theirs.
+            # The box encloses the children, or culling could drop visible parts of the mesh. The vertices of
+            # the patch itself are among theirs.
             low = (box[children, :3] - box[children, 3:]).min(axis=0)
             high = (box[children, :3] + box[children, 3:]).max(axis=0)
             box[number] = *(low + high) / 2, *(high - low) / 2

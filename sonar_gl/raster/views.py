@@ -15,8 +15,9 @@ from sonar_gl.sonar.fan import NEAR_M
 from sonar_gl.sonar.samples import NO_BODIES, NO_FACES, NO_SPANS, SectorSamples, ViewSamples, sector_table
 from sonar_gl.sonar.sector import Sector
 
-# Drawn at a time: 26 bytes each, and with OpenGL 16 in the driver. Samples chosen for a tolerance are fewer, so that no
-# choice takes more than 220 MB: wide fans of the finest bins take 5.2 million before the piles of the scene pylon at 0.01.
+# Drawn at a time: 26 bytes each, and with OpenGL 16 in the driver. Samples chosen for a tolerance are fewer, so that a
+# view of them takes no more than 220 MB. Wide fans of the finest bins take 5.2 million before the piles of the scene
+# pylon, at a tolerance of 0.01.
 MAX_SAMPLES, MAX_CHOSEN_SAMPLES = 1 << 24, 1 << 23
 NO_PLANE = np.array([0.0, 0.0, 0.0, 1.0])  # a clip plane that cuts nothing
 NO_SAMPLES = np.empty((0, 0, 4), np.float32)

@@ -162,7 +162,8 @@ def _read_mesh_scene(path: Path) -> Scene:
     z_up = mesh_files.Z_UP_FROM_Y_UP if is_turned(str(path)) else np.eye(4)
     parts = mesh_files.read_mesh_parts(path)
     names = _numbered([part.node for part in parts]) if len(parts) > 1 else [path.stem]
-    turned = {part.geometry: transform(part.shape, z_up) for part in parts}
+    shapes = {part.geometry: part.shape for part in parts}  # of copies once
+    turned = {geometry: transform(shape, z_up) for geometry, shape in shapes.items()}
     with errors_at(str(path)):
         make = PlacedShapes().body
         bodies = [

@@ -15,9 +15,8 @@ class PlacedShapes:
     """Makes the bodies of a scene. Those of one shape and size share a mesh, of which pings then keep one in memory."""
 
     def __init__(self):
-        self._reaches_m: dict[
-            int, tuple[object, float]
-        ] = {}  # by the id of a mesh, which is held, as in KeptMeshes
+        # by the id of a mesh: the mesh, held so that no other has its id, and how far it reaches from its origin
+        self._reaches_m: dict[int, tuple[object, float]] = {}
         self._stretched: dict[tuple, Shape] = {}
 
     def body(self, name: str, shape: Shape, world_from_node) -> Body:

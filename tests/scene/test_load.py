@@ -347,6 +347,15 @@ def test_copies_in_a_mesh_file_of_one_size_share_their_mesh(tmp_path):
             assert (facing > 0).all()
 
 
+def test_the_mesh_of_many_copies_is_turned_once(tmp_path, monkeypatch):
+    _gltf_of_copies(
+        tmp_path / "a.glb", trimesh.creation.icosphere(1), {f"rock_{k}": pose(k) for k in range(9)}
+    )
+    turned, transform = [], load.transform
+    monkeypatch.setattr(load, "transform", lambda *given: turned.append(given) or transform(*given))
+    assert len(load_scene(tmp_path / "a.glb").bodies) == 9 and len(turned) == 1
+
+
 def test_the_body_of_a_mesh_file_has_the_pose_of_its_node(tmp_path):
     """So `place` and `bodies=` mean the same of all nodes, whether or not others share their geometry."""
     _gltf_of_copies(tmp_path / "a.glb", trimesh.creation.box((1, 2, 3)), {"quay": pose(4, 5, 6)})

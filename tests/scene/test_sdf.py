@@ -1830,7 +1830,7 @@ def test_where_one_element_may_stand_the_first_is_read_and_others_are_told_of(tm
     path = write(tmp_path / "a.sdf", inside)
     with pytest.warns(UserWarning) as caught:
         scene = read_sdf(path, [tmp_path])
-    told = f"{path}: where one element may stand the first is read, and others are left out ({places})"
+    told = f"{path}: where one element may stand, the first is read, and others are left out ({places})"
     assert [str(w.message) for w in caught] == [told]
     (body,) = scene.bodies
     middle = body.mesh.vertices.mean(axis=0)
@@ -1852,7 +1852,7 @@ def test_a_second_model_in_the_file_of_a_model_is_told_of(tmp_path):
     with pytest.warns(UserWarning) as caught:
         assert [body.name for body in read_sdf(path, [tmp_path]).bodies] == ["m"]
     assert (
-        f"{path}: where one element may stand the first is read, and others are left out ({file}: model[second])"
+        f"{path}: where one element may stand, the first is read, and others are left out ({file}: model[second])"
         in [str(w.message) for w in caught]
     )
 

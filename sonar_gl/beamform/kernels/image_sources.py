@@ -129,7 +129,7 @@ def estimate_reflection(
                 continue
             u, v = t.sin * x[g] - t.cos * y[g], z[g]
             length = math.sqrt(1.0 + u * u + v * v)
-            # v goes by the root of 1 + u^2
+            # a step in tan is one in v that is wider by the root of 1 + u^2
             weight = two_way = area * math.sqrt(1.0 + u * u) / length**3
             # of an echo by way of a reflector, one leg may lie on the boresight
             if elevation_pattern.shape[0]:

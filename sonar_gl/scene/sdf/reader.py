@@ -344,7 +344,7 @@ class TreeReader:
         """Yield what to say of what is not read."""
         if self._repeated:
             places = _places(dict.fromkeys(self._repeated), path)
-            yield f"where one element may stand the first is read, and others are left out ({places})"
+            yield f"where one element may stand, the first is read, and others are left out ({places})"
         if self._changed:
             names = some_names(self._changed)
             yield f"changes of included models by <experimental:params> are left out ({names})"
