@@ -2274,8 +2274,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/error by the number of samples",
-        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.3, 0.75",
-        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 0.65, 0.75",
+        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75",
+        "BODY_ERROR_FACTOR, BODY_ERROR_RATE = 0.9, 0.75",
         ("test_adaptive",),
     ),
     Mutation(

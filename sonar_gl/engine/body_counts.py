@@ -10,7 +10,7 @@ from sonar_gl.beamform.kernels.body_counts import BodyTotals, CountedSamples, Ec
 from sonar_gl.engine.reception import Reception
 from sonar_gl.sonar.samples import ViewSamples
 
-BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.3, 0.75
+BODY_ERROR_FACTOR, BODY_ERROR_RATE = 1.8, 0.75
 MIN_BODY_SAMPLES = 8  # with fewer, the echo of a body is taken as unknown
 
 
