@@ -129,7 +129,7 @@ def test_invalid_paths(two_scenes):
         error_message(str(two_scenes))
         == f"{two_scenes}: a folder must be that of a model (it has neither model.config nor model.sdf)"
     )
-    for address in ("https://fuel.gazebosim.org/1.0/a/models/Boat", "model://boat", "file:///tmp/a.sdf"):
+    for address in ("https://fuel.gazebosim.org/1.0/a/models/Boat", "model://boat", "file:///models/a.sdf"):
         assert error_message(address) == (
             f"a scene must be a bundled name or a path (got the address {address!r}; give the path of its file or "
             "folder on this machine)"
