@@ -59,15 +59,20 @@ class LabelSums:
         """Have the store of a half hold nothing."""
         self.stores[half] = self.stores[half]._replace(n_runs=0, n_pool=0)
 
-    def take(self, half: int, room: LabelRoom) -> bool:
-        """Note how much of a half is in use; return False, with an empty and larger one, if it was too small."""
+    def take(self, half: int, needed: LabelRoom) -> bool:
+        """Note what a half has in use; return False, with an empty and larger one, where it needs more than it has."""
         cells, store = self.cells[half], self.stores[half]
-        if (len(cells), len(store.runs), len(store.pool)) == room[2:]:
-            self.stores[half] = store._replace(n_runs=room.n_runs, n_pool=room.n_pool)
+        room = LabelRoom(len(cells), len(store.runs), len(store.pool))
+        if all(n <= of_room for n, of_room in zip(needed, room, strict=True)):
+            self.stores[half] = store._replace(n_runs=needed.n_runs, n_pool=needed.n_pool)
             return True
-        if len(cells) < room.cells:
-            self.cells[half] = np.zeros((room.cells, *cells.shape[1:]), np.float32)
-        self.stores[half] = _empty_store(room.runs, room.pool)
+        if needed.n_slots > room.n_slots:
+            self.cells[half] = np.zeros((needed.n_slots, *cells.shape[1:]), np.float32)
+        # twice as much: other sectors, and other pings, need more
+        if needed.n_runs > room.n_runs or needed.n_pool > room.n_pool:
+            self.stores[half] = _empty_store(
+                max(room.n_runs, 2 * needed.n_runs), max(room.n_pool, 2 * needed.n_pool)
+            )
         return False
 
 

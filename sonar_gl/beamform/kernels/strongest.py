@@ -10,7 +10,7 @@ from numba import uint64
 from sonar_gl.beamform.kernels.beams import TILE_BEAMS, BeamTiles
 from sonar_gl.beamform.kernels.moments import MOMENTS
 from sonar_gl.beamform.kernels.runs import COLUMN, FIRST_BIN, PAST_BIN, PLACE, Runs
-from sonar_gl.core.compiled import compiled, inlined
+from sonar_gl.core.compiled import compiled, inlined, uncounted
 
 # Bins at a time, so that what a tile's beams read and write stays in fast memory; and the moments of these bins,
 # one row after the other.
@@ -32,6 +32,41 @@ class StrongestEcho(NamedTuple):
     body_id: np.ndarray
     background: np.ndarray
     means: np.ndarray
+
+
+class PingEcho(NamedTuple):
+    """What labels need of a ping beside its runs.
+
+    is_background : (numbers,) bool
+    body_bins : (numbers, 2) int64, first bin in which a body may be and past the last; of no length if not known
+    middle_m : (K,) float32, of BinTable
+    direct : (B, K) float32, direct echo with the gain; of no length where runs hold all of it
+    gain : (K,) float32
+    """
+
+    is_background: np.ndarray
+    body_bins: np.ndarray
+    middle_m: np.ndarray
+    direct: np.ndarray
+    gain: np.ndarray
+
+
+class TileRoom(NamedTuple):
+    """Where the beams of one tile are summed in one block of bins; overwritten.
+
+    weights : (4 * TILE_BEAMS,) float32, of four runs
+    rows, best : (TILE_BEAMS * TILE_ROW,) float32, moments of one body, and of the strongest
+    total : (TILE_BEAMS * TILE_BINS,) float32, echo of all bodies
+    body_id : (TILE_BEAMS * TILE_BINS,) int32, the strongest body: as wide as floats, to select both alike
+    stronger : (TILE_BINS,) int32, in which bins of one beam a body is stronger than those before it
+    """
+
+    weights: np.ndarray
+    rows: np.ndarray
+    best: np.ndarray
+    total: np.ndarray
+    body_id: np.ndarray
+    stronger: np.ndarray
 
 
 class Panel(NamedTuple):
@@ -63,55 +98,98 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_b
     gain : (K,) float32
     """
     runs, tiles, strongest = Runs(*runs), BeamTiles(*tiles), StrongestEcho(*strongest)
-    B, K = strongest.share.shape
     t0, t1 = part
     if t0 >= t1:  # of few beams the other half has all
         return
-    width, with_background = tiles.weights.shape[1], strongest.background.shape[0] > 0
-    origin, end = tiles.first[t0:t1].min(), tiles.first[t0:t1].max() + width
-    pasts = tiles.first + width  # past the last column that a beam of the tile receives
-    for t in range(t0, t1):
+    origin, end = tiles.first[t0:t1].min(), tiles.first[t0:t1].max() + tiles.weights.shape[1]
+    room = TileRoom(
+        np.empty(4 * TILE_BEAMS, np.float32),
+        np.empty(TILE_BEAMS * TILE_ROW, np.float32),
+        np.empty(TILE_BEAMS * TILE_ROW, np.float32),
+        np.empty(TILE_BEAMS * TILE_BINS, np.float32),
+        np.empty(TILE_BEAMS * TILE_BINS, np.int32),
+        np.empty(TILE_BINS, np.int32),
+    )
+    panel, pasts = _make_panel(runs, n_columns, origin, end, gain.shape[0]), _pasts_of(tiles)
+    ping = PingEcho(is_background, body_bins, middle_m, direct, gain)
+    _find_in_tiles(runs, tiles, pasts, (t0, t1), (origin, end, n_columns), panel, ping, room, strongest)
+
+
+@inlined
+def _pasts_of(tiles):
+    """Return (T,) past the last column that a beam of each tile receives."""
+    pasts = tiles.first + tiles.weights.shape[1]
+    for t in range(pasts.shape[0]):
         while pasts[t] > tiles.first[t] and not tiles.weights[t, pasts[t] - tiles.first[t] - 1].any():
             pasts[t] -= 1
-    panel = _make_panel(runs, n_columns, origin, end, K)
-    rows, best = np.empty(TILE_BEAMS * TILE_ROW, np.float32), np.empty(TILE_BEAMS * TILE_ROW, np.float32)
-    total, w = np.empty(TILE_BEAMS * TILE_BINS, np.float32), np.empty(4 * TILE_BEAMS, np.float32)
-    body_id, stronger = np.empty(TILE_BEAMS * TILE_BINS, np.int32), np.empty(TILE_BINS, np.int32)
-    for k0 in range(0, K, TILE_BINS):
-        n_bins = min(TILE_BINS, K - k0)
-        _pack_panel(panel, runs, k0, n_columns, origin, end)
-        for t in range(t0, t1):
-            start = tiles.first[t]
-            is_first, b0, b1 = True, TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), B)
-            if with_background:
-                strongest.background[b0:b1, k0 : k0 + n_bins] = 0.0
+    return pasts
+
+
+@uncounted
+def _find_in_tiles(runs, tiles, pasts, part, columns, panel, ping, room, strongest):
+    """Find the strongest body in each bin of some tiles' beams, one block of bins after the other.
+
+    Parameters
+    ----------
+    pasts : of `_pasts_of`
+    part : first and past the last of the tiles
+    columns : first and past the last of these tiles, and `n_columns` of `LabelColumns`
+    """
+    for k0 in range(0, ping.gain.shape[0], TILE_BINS):
+        _pack_panel(panel, runs, k0, columns)
+        for t in range(part[0], part[1]):
+            _clear_background(strongest.background, t, k0)
+            is_first = True
             for m in range(runs.bodies.shape[0]):
-                if panel.begins[m] == panel.begins[m + 1]:
-                    continue
-                body, columns = runs.bodies[m], panel.column[panel.begins[m] : panel.begins[m + 1]]
-                first = panel.begins[m] + np.searchsorted(columns, start)
-                past = panel.begins[m] + np.searchsorted(columns, pasts[t])
+                first = _first_from(panel, m, tiles.first[t])
+                past = _first_from(panel, m, pasts[t])
                 if first == past:
                     continue
-                mine = best if is_first else rows
-                _weigh_runs(panel, first, past, start, tiles.weights[t], w, mine)
-                if is_background[body]:
-                    for b in range(b0, b1):
-                        for k in range(n_bins):
-                            strongest.background[b, k0 + k] += mine[(b - b0) * TILE_ROW + k]
-                if body_bins.shape[0] > 0:
-                    _clear_outside(mine, body_bins, body, k0)
+                body, mine = runs.bodies[m], room.best if is_first else room.rows
+                _weigh_runs(panel, first, past, tiles.first[t], tiles.weights[t], room.weights, mine)
+                if ping.is_background[body]:
+                    _add_background(strongest.background, mine, t, k0)
+                if ping.body_bins.shape[0] > 0:
+                    _clear_outside(mine, ping.body_bins, body, k0)
                 if is_first:
-                    _begin_comparison(best, np.int32(body), total, body_id)
+                    _begin_comparison(np.int32(body), room)
                 else:
-                    _compare(rows, np.int32(body), best, total, body_id, stronger)
+                    _compare(np.int32(body), room)
                 is_first = False
             if is_first:
-                best[:], total[:], body_id[:] = 0.0, 0.0, 0
-            for b in range(b0, b1):
-                _write_strongest(
-                    best, total, body_id, b - b0, middle_m, b, k0, n_bins, direct, gain, strongest
-                )
+                room.best[:], room.total[:], room.body_id[:] = 0.0, 0.0, 0
+            for b in range(TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), strongest.share.shape[0])):
+                _write_strongest(room, b - TILE_BEAMS * t, ping, b, k0, strongest)
+
+
+@inlined
+def _first_from(panel, m, column):
+    """Return the first run of the m-th body whose column is at least this one, or past its last."""
+    low, high = panel.begins[m], panel.begins[m + 1]
+    while low < high:
+        middle = (low + high) // 2
+        if panel.column[middle] < column:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@inlined
+def _clear_background(background, t, k0):
+    """Set the echo of background bodies to zero in a tile's beams and a block of bins, if it is wanted."""
+    for b in range(TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), background.shape[0])):
+        for k in range(k0, min(k0 + TILE_BINS, background.shape[1])):
+            background[b, k] = 0.0
+
+
+@inlined
+def _add_background(background, rows, t, k0):
+    """Add the echo of a background body to that of the others, if it is wanted; rows : of TileRoom."""
+    for b in range(TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), background.shape[0])):
+        at = uint64((b - TILE_BEAMS * t) * TILE_ROW)
+        for k in range(uint64(min(TILE_BINS, background.shape[1] - k0))):
+            background[b, uint64(k0) + k] += rows[at + k]
 
 
 @inlined
@@ -128,9 +206,10 @@ def _make_panel(runs, n_columns, origin, end, n_bins):
 
 
 @inlined
-def _pack_panel(panel, runs, k0, n_columns, origin, end):
-    """Lay the runs in a block of bins from `k0` on side by side."""
+def _pack_panel(panel, runs, k0, columns):
+    """Lay the runs in a block of bins from `k0` on side by side; columns : as of `_find_in_tiles`."""
     table, moments, n_packed = runs.table, panel.moments, 0
+    origin, end, n_columns = columns
     for m in range(runs.bodies.shape[0]):
         panel.begins[m] = n_packed
         # columns repeat where the fan is a circle
@@ -159,7 +238,7 @@ def _pack_panel(panel, runs, k0, n_columns, origin, end):
 def _weigh_runs(panel, first, past, start, weights, w, rows):
     """Weigh some runs of a panel into the beams of one tile.
 
-    start, weights : of the tile; w : (16,) float32, overwritten; rows : (TILE_BEAMS * TILE_ROW,), overwritten
+    start, weights : first column and weights of the tile; w, rows : `weights`, and `rows` or `best`, of TileRoom
     """
     moments = panel.moments
     for k in range(uint64(rows.shape[0])):
@@ -185,8 +264,9 @@ def _weigh_runs(panel, first, past, start, weights, w, rows):
 
 
 @inlined
-def _begin_comparison(best, body, total, body_id):
-    """Begin with the first body in a tile's beams, whose moments `best` holds; arguments as of `_compare`."""
+def _begin_comparison(body, room):
+    """Begin with the first body in a tile's beams, whose moments `room.best` holds."""
+    best, total, body_id = room.best, room.total, room.body_id
     for r in range(TILE_BEAMS):
         at, bins = uint64(r * TILE_ROW), uint64(r * TILE_BINS)
         for k in range(uint64(TILE_BINS)):
@@ -195,13 +275,9 @@ def _begin_comparison(best, body, total, body_id):
 
 
 @inlined
-def _compare(rows, body, best, total, body_id, stronger):
-    """Keep what is known of the stronger echo in each bin of a tile's beams, and add up all.
-
-    rows, best : (TILE_BEAMS * TILE_ROW,)
-    total, body_id : (TILE_BEAMS * TILE_BINS,); numbers of bodies are as wide as floats, to select both alike
-    stronger : (TILE_BINS,) int32, overwritten
-    """
+def _compare(body, room):
+    """Keep what is known of the stronger echo in each bin of a tile's beams, and add up all; `room.rows` holds one."""
+    rows, best, total, body_id, stronger = room.rows, room.best, room.total, room.body_id, room.stronger
     for r in range(TILE_BEAMS):
         at, bins, n_stronger = uint64(r * TILE_ROW), uint64(r * TILE_BINS), np.int32(0)
         for k in range(uint64(TILE_BINS)):
@@ -221,7 +297,7 @@ def _compare(rows, body, best, total, body_id, stronger):
 
 @inlined
 def _clear_outside(rows, body_bins, body, k0):
-    """Set the echo of a body to zero in those bins from k0 on in which it cannot be; `rows` as of `_compare`."""
+    """Set the echo of a body to zero in those bins from k0 on in which it cannot be; rows : of TileRoom."""
     low, high = max(body_bins[body, 0] - k0, 0), max(body_bins[body, 1] - k0, 0)
     for r in range(TILE_BEAMS):
         for k in range(min(low, TILE_BINS)):
@@ -231,8 +307,10 @@ def _clear_outside(rows, body_bins, body, k0):
 
 
 @inlined
-def _write_strongest(best, total, body_id, r, middle_m, b, k0, n, direct, gain, strongest):
-    """Write what is known of the strongest echo in a block of a beam's bins; `best` and `total` are overwritten."""
+def _write_strongest(room, r, ping, b, k0, strongest):
+    """Write what is known of the strongest echo in a block of a beam's bins, the r-th of its tile."""
+    best, total, body_id = room.best, room.total, room.body_id
+    middle_m, direct, gain, n = ping.middle_m, ping.direct, ping.gain, min(TILE_BINS, ping.gain.shape[0] - k0)
     at, bins, b, k0 = uint64(r * TILE_ROW), uint64(r * TILE_BINS), uint64(b), uint64(k0)
     share, means, whole, nothing = strongest.share, strongest.means, np.float32(1.0), np.float32(0.0)
     if direct.shape[0] > 0:
