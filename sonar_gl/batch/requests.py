@@ -17,7 +17,7 @@ from sonar_gl.acoustics.water import Water
 from sonar_gl.batch.job import Job, SonarTable, build, check_keys, check_patterns
 from sonar_gl.batch.trajectories import FileTrajectory, RandomViews, Trajectory, build_trajectory
 from sonar_gl.core.checks import check_choice, shown
-from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.core.errors import Error, errors_at, nearest_of_many
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.core.poses import MAX_TIME_S
@@ -26,8 +26,9 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.receiver import receiver_levels_db
 from sonar_gl.noise.settings import PRESETS, Noise, check_moved_amounts
 from sonar_gl.ros.messages import MAX_TIME_S as MAX_ROS_TIME_S
+from sonar_gl.scene.extent import gap_m
 from sonar_gl.scene.load import load_scene
-from sonar_gl.scene.scene import Scene, hull_patterns, hull_text
+from sonar_gl.scene.scene import Body, Scene, hull_patterns, hull_text
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
@@ -252,11 +253,15 @@ class BatchRequests(Sequence):
                 for name in group:  # of two tables the later one counts, also where it changes nothing
                     bodies.pop(name, None)
                     reflectivity.pop(name, None)
-                if not group or (is_present and not draws.any() and mu is None):
+                is_still = not draws.any() and mu is None and table.rests_on is None
+                if not group or (is_present and is_still):
                     continue
                 pivot = known[group[0]].pose
                 move = pivot @ make_pose(0, 0, 0, *turn) @ np.linalg.inv(pivot)
                 move[:3, 3] += shift
+                if is_present and table.rests_on is not None:
+                    gap = _gap_m(known, group, move, table.rests_on, bodies.get(table.rests_on))
+                    move[2, 3] += shift[2] - gap if math.isfinite(gap) else 0.0  # beside the floor: as drawn
                 for name in group:
                     bodies[name] = move @ known[name].pose if is_present else None
                     if mu is not None and is_present and hasattr(known[name], "reflectivity"):
@@ -336,6 +341,21 @@ class BatchRequests(Sequence):
             self._moved_names[scene, table] = matching_names(patterns, self.bodies_and_plumes(scene))
         return self._moved_names[scene, table]
 
+    def check_rests(self, scene: int, table: int) -> None:
+        """Raise an Error if a scene lacks the floor on which a table rests its bodies, or moves it with them."""
+        names, floor = self.moved_names(scene, table), self.job.vary.bodies[table].rests_on
+        if floor is None or not names:
+            return
+        where = f"{self.job.where}: vary.bodies[{table}].rests_on must name a body"
+        if floor in names:
+            raise Error(f"{where} that does not move with the others (got {floor!r})")
+        known = [body.name for body in self.scene(scene).bodies]
+        if floor not in known:
+            hint = nearest_of_many(floor, known)
+            raise Error(
+                f"{where} of each scene of {names[0]!r} (got {floor!r}, which scenes[{scene}] lacks; {hint})"
+            )
+
     def _moved_groups(self, scene: int, table: int) -> list[list[str]]:
         """Return the bodies of a scene that a table moves or chooses from, those that move together in one list.
 
@@ -393,6 +413,14 @@ def _matched(patterns: list[str], scene: Scene) -> list[str]:
     """Return those patterns that match something in a scene."""
     names = set(_names(scene))
     return [pattern for pattern in patterns if names_of(pattern, names)]
+
+
+def _gap_m(
+    known: dict, group: list[str], move: np.ndarray, floor: str, floor_pose: np.ndarray | None
+) -> float:
+    """Return how far above a floor a group of bodies is after a move; without a pose it is where the scene has it."""
+    placed = [(known[name], move @ known[name].pose) for name in group if isinstance(known[name], Body)]
+    return gap_m(placed, known[floor], known[floor].pose if floor_pose is None else floor_pose)
 
 
 def _draw(random, value) -> float:

@@ -13,6 +13,7 @@ PLANE_FACES = 18  # of an infinite plane
 # A line up from a place passes so far beside corners and edges of meshes, x and y in metres: in the middle of a box it
 # would meet the edge between two triangles.
 BESIDE_M = 1.3e-6, 0.7e-6
+PAIRS = 1 << 18  # of corners and faces that are compared at once
 LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long; what is as long and as high is in other units
 
 
@@ -72,6 +73,58 @@ def body_around(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, 
         if way[met][is_above].sum() > 0:
             return body.name
     return ""
+
+
+def gap_m(placed: Sequence[tuple[Body, np.ndarray]], floor: Body, floor_pose: np.ndarray) -> float:
+    """Return how far bodies can sink until one of them touches a floor, metres; negative if one reaches below it.
+
+    Corners of the bodies touch faces of the floor, or corners of the floor touch faces of the bodies; that edges may
+    cross before is left out. Parts beyond the floor's edge do not count; infinite if all parts lie there.
+
+    Parameters
+    ----------
+    placed : bodies, each with its (4, 4) world_from_body
+    floor_pose : (4, 4) world_from_body of the floor
+    """
+    origin = floor_pose[:3, 3]  # near which float64 is exact, also in UTM
+    ground, gap = _triangles(floor, floor_pose, origin), np.inf
+    for body, pose in placed:
+        faces = _triangles(body, pose, origin)
+        low, high = faces.min(axis=(0, 1))[:2], faces.max(axis=(0, 1))[:2]
+        below = ground[((ground.min(axis=1)[:, :2] <= high) & (ground.max(axis=1)[:, :2] >= low)).all(axis=1)]
+        gap = _least_gap_m(faces, below, _least_gap_m(-below, -faces, gap))
+    return gap
+
+
+def _least_gap_m(upper: np.ndarray, lower: np.ndarray, gap: float) -> float:
+    """Return the least height of corners of (n, 3, 3) triangles above the faces of others, or `gap` if that is less.
+
+    With negative signs, both are upside down, and upper and lower change places.
+    """
+    if not len(upper) or not len(lower):
+        return gap
+    corners = np.unique(upper.reshape(-1, 3), axis=0)
+    corners, top = corners[np.argsort(corners[:, 2])], lower[..., 2].max()
+    at_once = max(1, PAIRS // len(lower))
+    for first in range(0, len(corners), at_once):
+        some = corners[first : first + at_once]
+        if some[0, 2] - top >= gap:  # so are all further ones
+            break
+        edges = lower[None] - some[:, None, None]  # (corners, faces, 3, 3)
+        ends = np.roll(edges, -1, axis=2)
+        # twice the areas of the triangles between a corner and each edge, as seen from above
+        areas = np.roll(edges[..., 0] * ends[..., 1] - edges[..., 1] * ends[..., 0], -1, axis=2)
+        whole = areas.sum(axis=2)
+        meets = (whole != 0) & (np.all(areas >= 0, axis=2) | np.all(areas <= 0, axis=2))
+        heights = (areas * edges[..., 2]).sum(axis=2)[meets] / whole[meets]
+        gap = min(gap, -heights.max(initial=-gap))
+    return float(gap)
+
+
+def _triangles(body: Body, pose: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Return the (n, 3, 3) corners of a body's faces in the world, relative to an origin."""
+    vertices, faces = np.asarray(body.surface.vertices, np.float64), np.asarray(body.surface.faces)
+    return (vertices @ pose[:3, :3].T + (pose[:3, 3] - origin))[faces]
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -500,6 +500,30 @@ def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_p
         np.testing.assert_allclose(request.bodies["box_1"], expected, atol=1e-12)
 
 
+def test_bodies_rest_on_a_floor_however_they_turn(tmp_path):
+    """By their lowest corner, on the floor where a table before has moved it; `z_m` buries them."""
+    path = write_job(tmp_path, 20, "")
+    turn = {"roll_rad": [-3.0, 3.0], "pitch_rad": [-1.5, 1.5], "yaw_rad": [-3.0, 3.0]}
+    drawn, resting = {"names": ["box_1"], "x_m": [-1.0, 1.0], "there": 0.7, **turn}, {"rests_on": "floor"}
+    floor = {"names": ["floor"], "z_m": [-0.5, 0.0]}
+
+    def found(*tables):
+        return [*BatchRequests(Job(**read_job(path).plain | {"vary": {"bodies": list(tables)}}))]
+
+    for depth_m in (0.0, 0.05):
+        tables = floor, drawn | {"z_m": -depth_m}
+        for request, free in zip(found(floor, tables[1] | resting), found(*tables), strict=True):
+            pose = request.bodies["box_1"]
+            if pose is None:
+                assert free.bodies["box_1"] is None
+                continue
+            lowest_m = pose[2, 3] - 0.1 * np.abs(pose[2, :3]).sum()  # of a box with edges of 0.2 m
+            assert lowest_m == pytest.approx(request.bodies["floor"][2, 3] - depth_m, abs=1e-9)
+            assert np.array_equal(np.delete(pose, 11), np.delete(free.bodies["box_1"], 11))  # all but z
+    (still,) = {request.bodies["box_1"][2, 3] for request in found({"names": ["box_1"]} | resting)}
+    assert still == pytest.approx(-0.3, abs=1e-9)  # half of its height above the floor at -0.4 m
+
+
 def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(tmp_path):
     """Along a file that begins at 100 s, in two scenes, and then along a sector."""
     path = write_job(tmp_path, 2, "")
@@ -1953,6 +1977,17 @@ BAD = [
         "there = 0.8",
         "apart = true\none_of = true",
         "vary.bodies[0]: apart and one_of exclude each other (got both; leave apart out: one alone moves)",
+    ),
+    (
+        "there = 0.8",
+        'rests_on = "flor"',
+        "vary.bodies[0].rests_on must name a body of each scene of 'box_1' (got 'flor', which scenes[0] lacks; did you "
+        "mean 'floor'?)",
+    ),
+    (
+        "there = 0.8",
+        'rests_on = "box_1"',
+        "vary.bodies[0].rests_on must name a body that does not move with the others (got 'box_1')",
     ),
     ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),
     (
