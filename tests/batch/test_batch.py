@@ -1,6 +1,7 @@
 """Batches: the requests of a job, the files of its pings, and that users' tools read them."""
 
 import errno
+import itertools
 import json
 import math
 import re
@@ -522,6 +523,41 @@ def test_bodies_rest_on_a_floor_however_they_turn(tmp_path):
             assert np.array_equal(np.delete(pose, 11), np.delete(free.bodies["box_1"], 11))  # all but z
     (still,) = {request.bodies["box_1"][2, 3] for request in found({"names": ["box_1"]} | resting)}
     assert still == pytest.approx(-0.3, abs=1e-9)  # half of its height above the floor at -0.4 m
+
+
+def test_bodies_keep_clear_of_each_other(tmp_path):
+    """Also of one that stays. A place that is clear at once is kept; where there is none, a body is absent."""
+    path = write_job(tmp_path, 200, "")
+    boxes = "".join(BOX.replace("box_1", f"box_{k}") for k in (1, 2, 3, 4))
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{boxes}{WALL}</world></sdf>')
+    plain = read_job(path).plain
+
+    def found(side_m, **more):
+        reach = {"x_m": [-side_m, side_m], "y_m": [-side_m, side_m], "yaw_rad": [-3.0, 3.0]}
+        moved = {"names": ["box_1", "box_2", "box_3"], "apart": True, **reach, **more}
+        stays = {"names": ["box_4"], **more}
+        requests = BatchRequests(Job(**plain | {"vary": {"bodies": [stays, moved]}}))
+        return [one.bodies for one in requests]
+
+    def gaps_m(bodies):
+        """The largest gap, along x or y, of each pair that is there; the boxes are 0.2 m long, box_4 at (3, 0.3)."""
+        there = [pose for pose in bodies.values() if pose is not None] + [sg.pose(3, 0.3)]
+        half_m = [0.1 * np.abs(pose[:2, :2]).sum(axis=1) for pose in there]
+        pairs = itertools.combinations(range(len(there)), 2)
+        return [(np.abs(there[a][:2, 3] - there[b][:2, 3]) - half_m[a] - half_m[b]).max() for a, b in pairs]
+
+    free, clear = found(0.6), found(0.6, clearance_m=0.05)
+    n_kept = 0
+    for before, after in zip(free, clear, strict=True):
+        assert set(after) == {"box_1", "box_2", "box_3"} and all(pose is not None for pose in after.values())
+        assert min(gaps_m(after)) >= 0.05 - 1e-12
+        if min(gaps_m(before)) >= 0.05:
+            n_kept += 1
+            assert all(np.array_equal(before[name], after[name]) for name in before)
+    assert 0 < n_kept < 200
+    crowded = found(0.3, clearance_m=0.05)
+    assert any(pose is None for bodies in crowded for pose in bodies.values())
+    assert all(gap >= 0.05 - 1e-12 for bodies in crowded for gap in gaps_m(bodies))
 
 
 def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(tmp_path):
