@@ -262,9 +262,8 @@ class BatchRequests(Sequence):
                 if is_present and table.clearance_m is None:
                     poses = _moved_poses(known, group, table, draws, bodies)
                 elif is_present:
-                    more = self._random(
-                        CLEARANCE_STREAM, number, k, n
-                    )  # no other draw depends on how many these are
+                    # a stream of its own: no other draw depends on how many these are
+                    more = self._random(CLEARANCE_STREAM, number, k, n)
                     poses = _clear_poses(known, group, table, draws, more, bodies, taken) or poses
                     is_present = poses[group[0]] is not None
                 if is_present and not draws.any() and mu is None and table.rests_on is None:
@@ -437,7 +436,9 @@ def _moved_poses(known: dict, group: list[str], table: MovedTable, draws: np.nda
     return {name: move @ known[name].pose for name in group}
 
 
-def _clear_poses(known, group, table, draws, random, placed, taken) -> dict | None:
+def _clear_poses(
+    known: dict, group: list[str], table: MovedTable, draws: np.ndarray, random, placed: dict, taken: dict
+) -> dict | None:
     """Return poses as `_moved_poses`, drawn until they are clear of rectangles that are taken; None if none is clear.
 
     The rectangles, with sides along x and y of the world, are about the bodies as seen from above. Those of the result
