@@ -84,6 +84,8 @@ COUNTS = ("test_counts",)
 POSES, FAN = ("test_poses",), ("test_fan_image",)
 SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("batch/test_batch",), ("test_simulator",)
+RESTS = ("batch/test_batch::test_bodies_rest_on_a_floor_however_they_turn",)
+CLEAR = ("batch/test_batch::test_bodies_keep_clear_of_each_other",)
 ESTIMATE = ("test_multipath::test_the_estimate_of_reflections_is_an_integral_over_the_fan",)
 EXPECTED = ("test_multipath::test_what_an_image_sees_of_a_body_is_expected_sample_by_sample",)
 BY_THE_FLOOR = ("test_multipath::test_bodies_above_the_water_do_not_echo_by_way_of_the_floor",)
@@ -2191,6 +2193,27 @@ MUTATIONS = (
         STYLES,
     ),
     Mutation("styles/height in a notebook", "NOTEBOOK_HEIGHT = 500", "NOTEBOOK_HEIGHT = 400", STYLES),
+    Mutation(
+        "batch/corners of a hill",
+        "gap = _least_gap_m(-ground, below, -corners[faces], gap)",
+        "pass",
+        ("test_extent::test_a_box_touches_a_hill_by_its_edge_or_by_the_peak",),
+    ),
+    Mutation(
+        "batch/corners of a body on a floor",
+        "gap = _least_gap_m(corners, faces, ground[below], gap)",
+        "pass",
+        ("test_extent::test_a_box_touches_a_hill_by_its_edge_or_by_the_peak",),
+    ),
+    Mutation("batch/depth of burial", "move[2, 3] += shift[2] - gap if", "move[2, 3] += -gap if", RESTS),
+    Mutation(
+        "batch/a floor that has moved",
+        "gap_m(of_bodies, floor, floor.pose if pose is None else pose)",
+        "gap_m(of_bodies, floor, floor.pose)",
+        RESTS,
+    ),
+    Mutation("batch/places that are taken", "            taken |= sides\n", "", CLEAR),
+    Mutation("batch/least distance", ">= table.clearance_m:", ">= 0:", CLEAR),
     Mutation(
         "batch/axes of a shift", "move[:3, 3] += shift", "move[:3, 3] += pivot[:3, :3] @ shift", REQUESTS
     ),

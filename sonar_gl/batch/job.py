@@ -121,6 +121,8 @@ class MovedTable(Table):
     names : names of bodies, with the wildcards * and ?
     apart : each body, or model whose name one of `names` matches, has its own random draw; otherwise all move together
     one_of : one of these bodies or models at a time is there, each as often; the others are absent
+    rests_on : name of the floor on which the bodies rest, `z_m` above it, however they turn
+    clearance_m : least distance, from above, to other bodies of tables that state one; redrawn until it holds
     x_m, y_m, z_m : shifts in the world
     roll_rad, pitch_rad, yaw_rad : rotations about the body's own axes
     there : probability that the bodies are present
@@ -130,6 +132,8 @@ class MovedTable(Table):
     names: Names
     apart: bool = False
     one_of: bool = None  # not False, which would change the digest of jobs without it
+    rests_on: Annotated[str, Field(description="name a body, such as the floor")] = None
+    clearance_m: Annotated[float, Field(ge=0, description=METRES)] = None
     x_m: VariedMetres = 0.0
     y_m: VariedMetres = 0.0
     z_m: VariedMetres = 0.0

@@ -14,10 +14,10 @@ import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics, check_moved
 from sonar_gl.acoustics.water import Water
-from sonar_gl.batch.job import Job, SonarTable, build, check_keys, check_patterns
+from sonar_gl.batch.job import Job, MovedTable, SonarTable, build, check_keys, check_patterns
 from sonar_gl.batch.trajectories import FileTrajectory, RandomViews, Trajectory, build_trajectory
 from sonar_gl.core.checks import check_choice, shown
-from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.core.errors import Error, errors_at, nearest_of_many
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.core.poses import MAX_TIME_S
@@ -26,8 +26,9 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.receiver import receiver_levels_db
 from sonar_gl.noise.settings import PRESETS, Noise, check_moved_amounts
 from sonar_gl.ros.messages import MAX_TIME_S as MAX_ROS_TIME_S
+from sonar_gl.scene.extent import body_bounds, gap_m
 from sonar_gl.scene.load import load_scene
-from sonar_gl.scene.scene import Scene, hull_patterns, hull_text
+from sonar_gl.scene.scene import Body, Scene, hull_patterns, hull_text
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
 from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import Counts
@@ -35,7 +36,8 @@ from sonar_gl.sonar.sonar import Sonar, too_short_step_s
 from sonar_gl.sonar.sonar_files import load_sonar, split_sonar
 
 # of random numbers; never renumber: the bytes of data sets would change
-VARY_STREAM, NOISE_STREAM, VIEWS_STREAM = 101, 102, 103
+VARY_STREAM, NOISE_STREAM, VIEWS_STREAM, CLEARANCE_STREAM = 101, 102, 103, 104
+CLEARANCE_TRIES = 100  # places that are drawn for a body; it is absent if none is clear
 BLOCK_PINGS = 1 << 18  # of which times are computed at once
 GAP_S = 1.0  # between the last ping of a run and the first of the next
 SHIFT_AND_TURN = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
@@ -217,15 +219,14 @@ class BatchRequests(Sequence):
             raise IndexError(f"a job has pings 0..{len(self) - 1} (got {number})")
         run = self.runs[bisect_right(self._starts, number) - 1]
         time_s, vehicle_pose = run.trajectory[number - run.numbers.start]
-        key = np.random.SeedSequence(self.job.seed, spawn_key=(VARY_STREAM, number))
-        random = np.random.Generator(np.random.SFC64(key))
+        random = self._random(VARY_STREAM, number)
         vary = self.job.vary  # the order of the draws below decides the bytes of data sets
         water = {key: _draw(random, value) for key, value in sorted(vary.water.items())}
         noise = {
             key: (_draw_whole if key == WHOLE_NOISE else _draw)(random, value)
             for key, value in sorted(vary.noise.items())
         }
-        bodies, reflectivity = self._draw_bodies(run.scene, random) if vary.bodies else ({}, {})
+        bodies, reflectivity = self._draw_bodies(run.scene, number, random) if vary.bodies else ({}, {})
         return BatchRequest(
             number,
             run.scene,
@@ -237,30 +238,39 @@ class BatchRequests(Sequence):
             replace(self.noise, **noise),
         )
 
-    def _draw_bodies(self, scene: int, random) -> tuple[dict, dict]:
+    def _random(self, *stream: int) -> np.random.Generator:
+        key = np.random.SeedSequence(self.job.seed, spawn_key=stream)
+        return np.random.Generator(np.random.SFC64(key))
+
+    def _draw_bodies(self, scene: int, number: int, random) -> tuple[dict, dict]:
         """Draw the poses of bodies that move in a ping, and their reflectivities."""
-        bodies, reflectivity = {}, {}
+        bodies, reflectivity, taken = {}, {}, {}  # taken: the rectangles of what keeps clear of each other
         known = self.bodies_and_plumes(scene)
         for k, table in enumerate(self.job.vary.bodies):
             groups = self._moved_groups(scene, k)
             chosen = _draw_whole(random, [0, len(groups) - 1]) if table.one_of and groups else None
             for n, group in enumerate(groups):
-                draws = np.array([_draw(random, getattr(table, key)) for key in SHIFT_AND_TURN])
-                shift, turn = np.split(draws, 2)
+                draws = _draw_move(random, table)
                 is_present = random.random() < table.there and chosen in (None, n)
                 mu = None if table.reflectivity is None else _draw(random, table.reflectivity)
                 for name in group:  # of two tables the later one counts, also where it changes nothing
-                    bodies.pop(name, None)
-                    reflectivity.pop(name, None)
-                if not group or (is_present and not draws.any() and mu is None):
+                    for found in (bodies, reflectivity, taken):
+                        found.pop(name, None)
+                if not group:
                     continue
-                pivot = known[group[0]].pose
-                move = pivot @ make_pose(0, 0, 0, *turn) @ np.linalg.inv(pivot)
-                move[:3, 3] += shift
-                for name in group:
-                    bodies[name] = move @ known[name].pose if is_present else None
-                    if mu is not None and is_present and hasattr(known[name], "reflectivity"):
-                        reflectivity[name] = mu
+                poses = dict.fromkeys(group)
+                if is_present and table.clearance_m is None:
+                    poses = _moved_poses(known, group, table, draws, bodies)
+                elif is_present:
+                    # a stream of its own: no other draw depends on how many these are
+                    more = self._random(CLEARANCE_STREAM, number, k, n)
+                    poses = _clear_poses(known, group, table, draws, more, bodies, taken) or poses
+                    is_present = poses[group[0]] is not None
+                if is_present and not draws.any() and mu is None and table.rests_on is None:
+                    continue
+                bodies |= poses
+                if mu is not None and is_present:
+                    reflectivity |= {name: mu for name in group if hasattr(known[name], "reflectivity")}
         return bodies, reflectivity
 
     def scene(self, index: int) -> Scene:
@@ -336,6 +346,21 @@ class BatchRequests(Sequence):
             self._moved_names[scene, table] = matching_names(patterns, self.bodies_and_plumes(scene))
         return self._moved_names[scene, table]
 
+    def check_rests(self, scene: int, table: int) -> None:
+        """Raise an Error if a scene lacks the floor on which a table rests its bodies, or moves it with them."""
+        names, floor = self.moved_names(scene, table), self.job.vary.bodies[table].rests_on
+        if floor is None or not names:
+            return
+        where = f"{self.job.where}: vary.bodies[{table}].rests_on must name a body"
+        if floor in names:
+            raise Error(f"{where} that does not move with the others (got {floor!r})")
+        known = [body.name for body in self.scene(scene).bodies]
+        if floor not in known:
+            hint = nearest_of_many(floor, known)
+            raise Error(
+                f"{where} of each scene of {names[0]!r} (got {floor!r}, which scenes[{scene}] lacks; {hint})"
+            )
+
     def _moved_groups(self, scene: int, table: int) -> list[list[str]]:
         """Return the bodies of a scene that a table moves or chooses from, those that move together in one list.
 
@@ -393,6 +418,50 @@ def _matched(patterns: list[str], scene: Scene) -> list[str]:
     """Return those patterns that match something in a scene."""
     names = set(_names(scene))
     return [pattern for pattern in patterns if names_of(pattern, names)]
+
+
+def _moved_poses(known: dict, group: list[str], table: MovedTable, draws: np.ndarray, placed: dict) -> dict:
+    """Return the poses of bodies that move together, given their draws and the poses of tables before."""
+    shift, turn = np.split(draws, 2)
+    pivot = known[group[0]].pose
+    move = pivot @ make_pose(0, 0, 0, *turn) @ np.linalg.inv(pivot)
+    move[:3, 3] += shift
+    if table.rests_on is not None:
+        floor, pose = known[table.rests_on], placed.get(table.rests_on)
+        of_bodies = [
+            (known[name], move @ known[name].pose) for name in group if isinstance(known[name], Body)
+        ]
+        gap = gap_m(of_bodies, floor, floor.pose if pose is None else pose)
+        move[2, 3] += shift[2] - gap if math.isfinite(gap) else 0.0  # beside the floor: as drawn
+    return {name: move @ known[name].pose for name in group}
+
+
+def _clear_poses(
+    known: dict, group: list[str], table: MovedTable, draws: np.ndarray, random, placed: dict, taken: dict
+) -> dict | None:
+    """Return poses as `_moved_poses`, drawn until they are clear of rectangles that are taken; None if none is clear.
+
+    The rectangles, with sides along x and y of the world, are about the bodies as seen from above. Those of the result
+    are taken from then on.
+    """
+    for _ in range(CLEARANCE_TRIES):
+        poses = _moved_poses(known, group, table, draws, placed)
+        sides = {
+            name: body_bounds(known[name], pose)[:, :2]
+            for name, pose in poses.items()
+            if isinstance(known[name], Body)
+        }
+        gaps = [np.maximum(a[0] - b[1], b[0] - a[1]).max() for a in sides.values() for b in taken.values()]
+        if min(gaps, default=math.inf) >= table.clearance_m:
+            taken |= sides
+            return poses
+        draws = _draw_move(random, table)
+    return None
+
+
+def _draw_move(random, table: MovedTable) -> np.ndarray:
+    """Return the (6,) shift and turn of a table."""
+    return np.array([_draw(random, getattr(table, key)) for key in SHIFT_AND_TURN])
 
 
 def _draw(random, value) -> float:

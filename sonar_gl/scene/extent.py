@@ -13,12 +13,16 @@ PLANE_FACES = 18  # of an infinite plane
 # A line up from a place passes so far beside corners and edges of meshes, x and y in metres: in the middle of a box it
 # would meet the edge between two triangles.
 BESIDE_M = 1.3e-6, 0.7e-6
+PAIRS = (
+    1 << 13
+)  # of corners and triangles that are compared at once: few, since the lowest corners often decide
 LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long; what is as long and as high is in other units
 
 
-def body_bounds(body: Body) -> np.ndarray:
-    """Return the (2, 3) least and greatest coordinates of a body in the world, metres."""
-    vertices = np.asarray(body.surface.vertices, np.float64) @ body.pose[:3, :3].T + body.pose[:3, 3]
+def body_bounds(body: Body, pose: np.ndarray | None = None) -> np.ndarray:
+    """Return the (2, 3) least and greatest coordinates of a body in the world, metres, by default at its own pose."""
+    pose = body.pose if pose is None else pose
+    vertices = np.asarray(body.surface.vertices, np.float64) @ pose[:3, :3].T + pose[:3, 3]
     return np.array([vertices.min(axis=0), vertices.max(axis=0)])
 
 
@@ -72,6 +76,58 @@ def body_around(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, 
         if way[met][is_above].sum() > 0:
             return body.name
     return ""
+
+
+def gap_m(placed: Sequence[tuple[Body, np.ndarray]], floor: Body, floor_pose: np.ndarray) -> float:
+    """Return how far bodies can sink until one of them touches a floor, metres; negative if one reaches below it.
+
+    Corners of the bodies touch faces of the floor, or corners of the floor touch faces of the bodies; that edges may
+    cross before is left out. Parts beyond the floor's edge do not count; infinite if all parts lie there.
+
+    Parameters
+    ----------
+    placed : bodies, each with its (4, 4) world_from_body
+    floor_pose : (4, 4) world_from_body of the floor
+    """
+    origin, gap = floor_pose[:3, 3], np.inf  # near the origin float64 is exact, also in UTM
+    ground, ground_faces = _corners(floor, floor_pose, origin), np.asarray(floor.surface.faces)
+    for body, pose in placed:
+        corners, faces = _corners(body, pose, origin), np.asarray(body.surface.faces)
+        is_beside = np.zeros(len(ground_faces), bool)
+        for axis in (0, 1):
+            for side in (ground[:, axis] < corners[:, axis].min(), ground[:, axis] > corners[:, axis].max()):
+                is_beside |= side[ground_faces].all(axis=1)
+        below = ground_faces[~is_beside]
+        gap = _least_gap_m(corners, faces, ground[below], gap)
+        gap = _least_gap_m(-ground, below, -corners[faces], gap)  # upside down, where the floor is above
+    return gap
+
+
+def _corners(body: Body, pose: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Return the (n, 3) vertices of a body in the world, relative to an origin."""
+    return np.asarray(body.surface.vertices, np.float64) @ pose[:3, :3].T + (pose[:3, 3] - origin)
+
+
+def _least_gap_m(vertices: np.ndarray, faces: np.ndarray, lower: np.ndarray, gap: float) -> float:
+    """Return the least height of the corners of faces above (n, 3, 3) triangles, or `gap` if that is less."""
+    if not len(lower):
+        return gap
+    corners, top = vertices[np.unique(faces)], lower[..., 2].max()
+    corners = corners[np.argsort(corners[:, 2])]
+    at_once = max(1, PAIRS // len(lower))
+    for first in range(0, len(corners), at_once):
+        some = corners[first : first + at_once]
+        if some[0, 2] - top >= gap:  # so are all further ones
+            break
+        edges = lower[None] - some[:, None, None]  # (corners, triangles, 3, 3)
+        ends = np.roll(edges, -1, axis=2)
+        # twice the areas of the triangles between a corner and each edge, as seen from above
+        areas = np.roll(edges[..., 0] * ends[..., 1] - edges[..., 1] * ends[..., 0], -1, axis=2)
+        whole = areas.sum(axis=2)
+        meets = (whole != 0) & (np.all(areas >= 0, axis=2) | np.all(areas <= 0, axis=2))
+        heights = (areas * edges[..., 2]).sum(axis=2)[meets] / whole[meets]
+        gap = min(gap, -heights.max(initial=-gap))
+    return float(gap)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

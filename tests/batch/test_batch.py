@@ -1,6 +1,7 @@
 """Batches: the requests of a job, the files of its pings, and that users' tools read them."""
 
 import errno
+import itertools
 import json
 import math
 import re
@@ -498,6 +499,65 @@ def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_p
     expected[:3, 3] = [3.5, 0.75, -1.875]
     for request in requests:
         np.testing.assert_allclose(request.bodies["box_1"], expected, atol=1e-12)
+
+
+def test_bodies_rest_on_a_floor_however_they_turn(tmp_path):
+    """By their lowest corner, on the floor where a table before has moved it; `z_m` buries them."""
+    path = write_job(tmp_path, 20, "")
+    turn = {"roll_rad": [-3.0, 3.0], "pitch_rad": [-1.5, 1.5], "yaw_rad": [-3.0, 3.0]}
+    drawn, resting = {"names": ["box_1"], "x_m": [-1.0, 1.0], "there": 0.7, **turn}, {"rests_on": "floor"}
+    floor = {"names": ["floor"], "z_m": [-0.5, 0.0]}
+
+    def found(*tables):
+        return [*BatchRequests(Job(**read_job(path).plain | {"vary": {"bodies": list(tables)}}))]
+
+    for depth_m in (0.0, 0.05):
+        tables = floor, drawn | {"z_m": -depth_m}
+        for request, free in zip(found(floor, tables[1] | resting), found(*tables), strict=True):
+            pose = request.bodies["box_1"]
+            if pose is None:
+                assert free.bodies["box_1"] is None
+                continue
+            lowest_m = pose[2, 3] - 0.1 * np.abs(pose[2, :3]).sum()  # of a box with edges of 0.2 m
+            assert lowest_m == pytest.approx(request.bodies["floor"][2, 3] - depth_m, abs=1e-9)
+            assert np.array_equal(np.delete(pose, 11), np.delete(free.bodies["box_1"], 11))  # all but z
+    (still,) = {request.bodies["box_1"][2, 3] for request in found({"names": ["box_1"]} | resting)}
+    assert still == pytest.approx(-0.3, abs=1e-9)  # half of its height above the floor at -0.4 m
+
+
+def test_bodies_keep_clear_of_each_other(tmp_path):
+    """Also of one that stays. A place that is clear at once is kept; where there is none, a body is absent."""
+    path = write_job(tmp_path, 200, "")
+    boxes = "".join(BOX.replace("box_1", f"box_{k}") for k in (1, 2, 3, 4))
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{boxes}{WALL}</world></sdf>')
+    plain = read_job(path).plain
+
+    def found(side_m, **more):
+        reach = {"x_m": [-side_m, side_m], "y_m": [-side_m, side_m], "yaw_rad": [-3.0, 3.0]}
+        moved = {"names": ["box_1", "box_2", "box_3"], "apart": True, **reach, **more}
+        stays = {"names": ["box_4"], **more}
+        requests = BatchRequests(Job(**plain | {"vary": {"bodies": [stays, moved]}}))
+        return [one.bodies for one in requests]
+
+    def gaps_m(bodies):
+        """The largest gap, along x or y, of each pair that is there; the boxes are 0.2 m long, box_4 at (3, 0.3)."""
+        there = [pose for pose in bodies.values() if pose is not None] + [sg.pose(3, 0.3)]
+        half_m = [0.1 * np.abs(pose[:2, :2]).sum(axis=1) for pose in there]
+        pairs = itertools.combinations(range(len(there)), 2)
+        return [(np.abs(there[a][:2, 3] - there[b][:2, 3]) - half_m[a] - half_m[b]).max() for a, b in pairs]
+
+    free, clear = found(0.6), found(0.6, clearance_m=0.05)
+    n_kept = 0
+    for before, after in zip(free, clear, strict=True):
+        assert set(after) == {"box_1", "box_2", "box_3"} and all(pose is not None for pose in after.values())
+        assert min(gaps_m(after)) >= 0.05 - 1e-12
+        if min(gaps_m(before)) >= 0.05:
+            n_kept += 1
+            assert all(np.array_equal(before[name], after[name]) for name in before)
+    assert 0 < n_kept < 200
+    crowded = found(0.3, clearance_m=0.05)
+    assert any(pose is None for bodies in crowded for pose in bodies.values())
+    assert all(gap >= 0.05 - 1e-12 for bodies in crowded for gap in gaps_m(bodies))
 
 
 def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(tmp_path):
@@ -1953,6 +2013,17 @@ BAD = [
         "there = 0.8",
         "apart = true\none_of = true",
         "vary.bodies[0]: apart and one_of exclude each other (got both; leave apart out: one alone moves)",
+    ),
+    (
+        "there = 0.8",
+        'rests_on = "flor"',
+        "vary.bodies[0].rests_on must name a body of each scene of 'box_1' (got 'flor', which scenes[0] lacks; did you "
+        "mean 'floor'?)",
+    ),
+    (
+        "there = 0.8",
+        'rests_on = "box_1"',
+        "vary.bodies[0].rests_on must name a body that does not move with the others (got 'box_1')",
     ),
     ("there = 0.8", "there = 1.8", "vary.bodies[0].there: should be less than or equal to 1 (got 1.8)"),
     (

@@ -1,11 +1,11 @@
-"""What bodies a place lies in, or below."""
+"""What bodies a place lies in, or below; how far bodies are above a floor."""
 
 import numpy as np
 import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.scene.extent import air_text, body_around, bounds_of, other_unit_text
+from sonar_gl.scene.extent import air_text, body_around, bounds_of, gap_m, other_unit_text
 from sonar_gl.scene.primitives import INFINITE_PLANE_M, plane
 from tests.support.worlds import terrain
 
@@ -83,3 +83,44 @@ def test_only_the_plane_of_a_collision_has_no_bounds():
 def test_a_sonar_at_the_surface_is_in_the_water():
     scene = sg.Scene([BALL], surface_z_m=-2.0)
     assert [bool(air_text(scene, sg.pose(z=z))) for z in (-2.001, -2.0, -1.999)] == [False, False, True]
+
+
+PYRAMID = sg.Body(  # 1 - max(|x|, |y|) high
+    "pyramid",
+    trimesh.Trimesh(
+        [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 1]],
+        [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]],
+    ),
+)
+CRATE = sg.Body("crate", trimesh.creation.box((0.4, 0.4, 0.4)))
+
+
+@pytest.mark.parametrize("origin", [(0, 0, 0), (500_000, 5_600_000, 0)])
+def test_a_turned_box_is_as_far_above_a_plane_as_its_lowest_corner(origin):
+    box, flat = (
+        sg.Body("box", trimesh.creation.box((0.6, 0.4, 0.3))),
+        sg.Body("flat", plane().mesh.to_trimesh()),
+    )
+    at = np.eye(4)
+    at[:3, 3] = origin
+    for roll, pitch in ((0, 0), (0.3, -0.8), (3.1, 1.2)):
+        turned = sg.pose(0.2, -0.7, -2.5, roll, pitch, 2.0)
+        lowest_m = -2.5 - np.abs(turned[2, :3]) @ [0.3, 0.2, 0.15]
+        found = gap_m([(box, at @ turned)], flat, at @ sg.pose(z=-3))
+        assert found == pytest.approx(lowest_m + 3, abs=1e-9)  # rounding of eastings and northings
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "gap"),
+    [
+        (0, 0, 1.8),  # the peak touches the middle of the crate's face
+        (0.5, 0, 2.1),  # its edge at x = 0.3 touches the slope
+        (-0.4, 0.6, 2.2),
+        (1.1, 0, 2.7),  # its middle lies beside the pyramid, which has no height there
+        (1.3, 0, np.inf),
+    ],
+)
+def test_a_box_touches_a_hill_by_its_edge_or_by_the_peak(x, y, gap):
+    assert gap_m([(CRATE, sg.pose(x, y, 3))], PYRAMID, np.eye(4)) == pytest.approx(gap, abs=1e-12)
+    far = (CRATE, sg.pose(0, 0, 9))
+    assert gap_m([far, (CRATE, sg.pose(x, y, 3))], PYRAMID, np.eye(4)) == pytest.approx(min(gap, 7.8))
