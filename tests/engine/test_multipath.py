@@ -917,7 +917,7 @@ def test_a_body_that_echoes_by_way_of_the_surface_alone_has_the_samples_that_it_
 
 @pytest.mark.parametrize(("radius_m", "tolerance"), [(0.005, 0.05), (0.002, 0.05), (0.002, 0.02)])
 def test_rods_by_way_of_the_surface_have_more_samples_than_the_wall_before_the_sonar(radius_m, tolerance):
-    """The wall alone has a direct echo, for which few samples do; the sum was off by 6 and 7 % at a tolerance of 5 %."""
+    """The wall alone has a direct echo, for which few samples do; the sum was off by 6 and 7 % at 5 %."""
     rods = [
         sg.Body(f"rod {k}", trimesh.creation.cylinder(radius_m, 0.5, sections=16), sg.pose(5, 0.3 * k, -0.95))
         for k in range(-4, 5)
