@@ -36,9 +36,9 @@ FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
 HALVING_RATE = 0.85  # each halving of the rows multiplies the error by two to this power, about
 # Of the error that a comparison shows: the estimate of the direct echo's error has room, and the two are added.
 BESIDE_DIRECT = 0.7
-# With more than four times the samples of the direct echo, which are so many halvings, multipath is nearly all echo:
-# the whole error counts. They are compared with four times fewer. Half as many err alike where a small body echoes by way
-# of a reflector alone, and the difference may show half of the error.
+# So many halvings are four times the samples of the direct echo. With more, multipath is nearly all echo, and its whole
+# error counts. They are compared with four times fewer: half as many err alike where a small body echoes by way of a
+# reflector alone, and the difference may show half of the error.
 QUADRUPLED = -2
 # Estimated of the direct echo, in tolerances. That of a ping is not known where samples were given, and a ping of a
 # data set, whose samples were chosen, is to be made again by giving these.
