@@ -88,6 +88,10 @@ RESTS = ("batch/test_batch::test_bodies_rest_on_a_floor_however_they_turn",)
 CLEAR = ("batch/test_batch::test_bodies_keep_clear_of_each_other",)
 ESTIMATE = ("test_multipath::test_the_estimate_of_reflections_is_an_integral_over_the_fan",)
 EXPECTED = ("test_multipath::test_what_an_image_sees_of_a_body_is_expected_sample_by_sample",)
+BY_IMAGES = (
+    "test_multipath::test_a_body_that_echoes_by_way_of_the_surface_alone_has_the_samples_that_it_needs",
+    "test_multipath::test_rods_by_way_of_the_surface_have_more_samples_than_the_wall_before_the_sonar",
+)
 BY_THE_FLOOR = ("test_multipath::test_bodies_above_the_water_do_not_echo_by_way_of_the_floor",)
 SONAR_FILES, STYLES = ("sonar/test_sonar", "test_sonar_files"), ("test_styles",)
 LEVELS = ("test_level_of_detail::test_the_patch_of_the_whole_mesh_is_halved_until_it_has_few_faces",)
@@ -785,7 +789,16 @@ MUTATIONS = (
         "is_new=False, finest=FINEST)",
         MULTIPATH,
     ),
-    Mutation("multipath/small bodies", "fewest < LEAST_ON_BODY * fewer or ", "", MULTIPATH),
+    Mutation(
+        "multipath/four times the samples at most",
+        "for n in range(14, 0, -1)",
+        "for n in range(2, 0, -1)",
+        BY_IMAGES,
+    ),
+    Mutation(
+        "multipath/bodies that images alone see", "of_imaged <= WORST_BODY * allowed", "True", BY_IMAGES
+    ),
+    Mutation("multipath/small bodies", "fewest >= LEAST_ON_BODY * fewer and ", "", MULTIPATH),
     Mutation(
         "multipath/parallel planes",
         "(np.abs(offsets - offset) < tolerance_m)",

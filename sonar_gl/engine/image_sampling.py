@@ -36,6 +36,10 @@ FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
 HALVING_RATE = 0.85  # each halving of the rows multiplies the error by two to this power, about
 # Of the error that a comparison shows: the estimate of the direct echo's error has room, and the two are added.
 BESIDE_DIRECT = 0.7
+# So many halvings are four times the samples of the direct echo. With more, multipath is nearly all echo, and its whole
+# error counts. They are compared with four times fewer: half as many err alike where a small body echoes by way of a
+# reflector alone, and the difference may show half of the error.
+QUADRUPLED = -2
 # Estimated of the direct echo, in tolerances. That of a ping is not known where samples were given, and a ping of a
 # data set, whose samples were chosen, is to be made again by giving these.
 USUAL_DIRECT_ERROR = 0.8
@@ -71,7 +75,8 @@ class MultipathEcho(NamedTuple):
             return None
         times = self.images.rows / coarser.images.rows
         wrong = wrong_share(self.multipath, coarser.multipath, times)
-        return MultipathError(BESIDE_DIRECT * wrong, self.images.rows)
+        of_it = BESIDE_DIRECT if self.images.halvings >= QUADRUPLED else 1.0
+        return MultipathError(of_it * wrong, self.images.rows)
 
 
 class MultipathError(NamedTuple):
@@ -194,8 +199,11 @@ class ImageSampling:
             wanted = self._halvings_for(echo, error)
             # coarser only where they would stay so: otherwise they flicker
             kept = self._halvings_for(echo, error, margin=2)
-            if coarser is not None:  # estimates from few samples are rough
-                wanted = max(wanted, own - 1)
+            if error is None:  # only a comparison asks for more samples than those of the direct echo
+                wanted = max(wanted, 0)
+            elif coarser is not None and wanted < own:  # estimates from few samples are rough
+                step = 1 if own > QUADRUPLED else 2
+                wanted = max(own - step, _finest_for(echo.images))
             self.choice = choice = choice._replace(
                 halvings=min(max(choice.halvings, kept), wanted), error=error
             )
@@ -257,10 +265,12 @@ class ImageSampling:
         finest = _finest_for(images)
         for halvings in range(COARSEST, finest, -1):
             fewer = margin * THINNINGS[halvings].times_fewer
-            errors = [_error_by_samples(share, one, fewer) for one in (direct, images.imaged)]
-            bodies_err = fewest < LEAST_ON_BODY * fewer or max(errors) > self._tolerance * (1 + share)
-            # finer samples than those of the direct echo do not help bodies that have too few there
-            is_enough = halvings <= 0 or not bodies_err
+            of_direct, of_imaged = (_error_by_samples(share, one, fewer) for one in (direct, images.imaged))
+            allowed = self._tolerance * (1 + share)
+            if halvings > 0:
+                is_enough = fewest >= LEAST_ON_BODY * fewer and max(of_direct, of_imaged) <= allowed
+            else:  # more samples help bodies that the images see alone; `error_of` tells of these
+                is_enough = of_imaged <= WORST_BODY * allowed
             if is_enough and self._expected_error(images, halvings, known) * margin**HALVING_RATE <= most:
                 return halvings
         return finest

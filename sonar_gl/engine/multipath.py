@@ -64,10 +64,10 @@ class Thinning(NamedTuple):
 
 
 # After so many halvings of the rows. Where all are drawn they are whole numbers, so that some of them serve. Finer ones
-# are finer in both directions: rows alone would leave the error of columns, and not show it.
+# are finer in both directions: rows alone would leave the error of columns, and not show it. The finest make of the
+# coarsest direct echo as many as a tolerance may choose.
 THINNINGS = {
-    -2: Thinning(1 / 2, 1 / 2),
-    -1: Thinning(math.sqrt(1 / 2), math.sqrt(1 / 2)),
+    **{-n: Thinning(2 ** (-n / 2), 2 ** (-n / 2)) for n in range(14, 0, -1)},
     0: Thinning(1, 1, True),
     1: Thinning(2, 2, True),
     2: Thinning(4, 4),
