@@ -100,9 +100,8 @@ def _interrupts():
 
     def interrupt(number, frame):
         nonlocal raised_s
-        if (
-            time.monotonic() < raised_s + REPEAT_S
-        ):  # another KeyboardInterrupt would cut the end of a command short
+        # another KeyboardInterrupt would cut the end of a command short
+        if time.monotonic() < raised_s + REPEAT_S:
             return
         if _count_imports(frame) <= n_around:
             raised_s = time.monotonic()
