@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import _thread
 import errno
+import math
 import os
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable
 from contextlib import contextmanager, suppress
@@ -17,6 +19,7 @@ import click
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError
 
+REPEAT_S = 0.3  # within it, signals are one: `timeout` sends its own to a command and to the group of it
 IMPORT_PAUSE_S = 0.05  # until a signal that came during an import is tried again
 
 
@@ -93,10 +96,15 @@ def _interrupts():
     if threading.current_thread() is not threading.main_thread():  # where Python allows no handlers
         yield
         return
-    n_around, waiting = _count_imports(sys._getframe()), []
+    n_around, waiting, raised_s = _count_imports(sys._getframe()), [], -math.inf
 
     def interrupt(number, frame):
+        nonlocal raised_s
+        # another KeyboardInterrupt would cut the end of a command short
+        if time.monotonic() < raised_s + REPEAT_S:
+            return
         if _count_imports(frame) <= n_around:
+            raised_s = time.monotonic()
             raise KeyboardInterrupt
         again = threading.Timer(IMPORT_PAUSE_S, *_sending(number))
         again.daemon = True

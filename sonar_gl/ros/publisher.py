@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,12 +62,15 @@ class StepResult:
         for a ping in the background until the next one was due
     has_jumped : whether time jumped, so that the sonar's rate counts from this step on
     waits_for_pose : whether no pose has come yet
+    ping : the Ping that was published since the step before, or None. In the background that is a ping of an earlier
+        step; its `meta["time_s"]` is its time
     """
 
     has_pinged: bool = False
     n_dropped: int = 0
     has_jumped: bool = False
     waits_for_pose: bool = False
+    ping: Ping | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -185,7 +188,7 @@ class Publisher:
         self._refused = RefusedMessages()
         self._n_dropped = self._n_jumps = 0  # the loop counts these, and the thread of the simulation those
         self._n_pings = self._n_failed = 0
-        self._in_background, self._work = in_background, None
+        self._in_background, self._work, self._published = in_background, None, None
         self._clock_ns, self._reported_s, self._reported = None, time.monotonic(), PublisherCounts()
         self._is_placed, self._pose, self._moved = False, None, {}
         self._parts_of = scene.parts_of
@@ -319,7 +322,7 @@ class Publisher:
         if self._pose is None:
             self._tick(time_ns)
             self._report()
-            return StepResult(waits_for_pose=True)
+            return StepResult(waits_for_pose=True, ping=self._take_published())
         slot = self._schedule.advance(time_ns, is_ready=self._work is None)
         self._n_dropped += slot.n_dropped
         self._n_jumps += slot.has_jumped
@@ -332,12 +335,17 @@ class Publisher:
             if not self._in_background:
                 self._finish()
         self._report()
-        return StepResult(slot.is_due, slot.n_dropped, slot.has_jumped)
+        return StepResult(slot.is_due, slot.n_dropped, slot.has_jumped, ping=self._take_published())
 
     def _finish(self) -> None:
         """Wait for the ping that is made, and raise what was wrong with it."""
         work, self._work = self._work, None
-        work.result()
+        self._published = work.result()
+
+    def _take_published(self) -> Ping | None:
+        """Return the ping that no step has returned yet."""
+        ping, self._published = self._published, None
+        return ping
 
     def _tick(self, time_ns: int, is_due: bool = False) -> None:
         """Publish the clock, also before a ping, whose stamp must not lie ahead of it."""
@@ -377,8 +385,8 @@ class Publisher:
 
     # ---- a ping, in the thread of the simulation -------------------------------------------------------
 
-    def _ping(self, order: _Order) -> None:
-        """Make a ping and publish it."""
+    def _ping(self, order: _Order) -> Ping | None:
+        """Make a ping, publish and return it; None if it cannot be made."""
         settings, time_ns = self.settings, order.time_ns
         pose = order.vehicle_pose @ settings.vehicle_from_sonar
         if order.bodies:
@@ -394,11 +402,12 @@ class Publisher:
             if order.is_own:
                 raise
             self._fail(why)
-            return
+            return None
         self._place(order)
         for kind, message in self._messages_of(ping, time_ns):
             self._send(kind, message, time_ns)
         self._n_pings += 1
+        return ping
 
     def _make_ready(self, pose: np.ndarray) -> None:
         """Make the messages of a ping and publish none, so that the first one takes hardly longer than others.

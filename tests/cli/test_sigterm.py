@@ -10,6 +10,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl import ros
+from sonar_gl.cli.command_group import REPEAT_S
 from tests.support.command_line import run
 from tests.support.commands_beside import run_beside
 from tests.support.loopback_transport import LoopbackTransport
@@ -45,6 +46,35 @@ def test_a_live_command_prints_its_closing_line(command, closing_line, unhandled
     printed, _ = run_beside([*command, "--duration", END], lambda: None, WAIT_S, signal.SIGTERM)
     assert not unhandled and closing_line in printed
     assert signal.getsignal(signal.SIGTERM) is handler
+
+
+def test_a_signal_that_is_sent_twice_at_once_ends_a_command_as_one_does(unhandled, monkeypatch):
+    """`timeout` sends its signal to the command and to its group: the second cut the end of the first short."""
+    close = ros.Publisher.close
+
+    def close_under_a_signal(publisher):
+        os.kill(os.getpid(), signal.SIGTERM)
+        close(publisher)
+
+    monkeypatch.setitem(vars(ros), "DdsTransport", lambda **_: LoopbackTransport())
+    monkeypatch.setattr(ros.Publisher, "close", close_under_a_signal)
+    command = ["ros2", *QUICK, "--transport", "dds", "--duration", END]
+    printed, _ = run_beside(command, lambda: None, WAIT_S, signal.SIGTERM)
+    assert not unhandled and "pings published" in printed
+
+
+def test_a_later_signal_ends_what_the_first_has_not(unhandled, monkeypatch):
+    def ping(*_, **__):
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        except KeyboardInterrupt:  # which some library takes for its own
+            time.sleep(1.5 * REPEAT_S)
+            os.kill(os.getpid(), signal.SIGTERM)
+        pytest.fail("the command went on")
+
+    monkeypatch.setattr(sg.Simulator, "ping", ping)
+    assert run("render", "pylon")[0] == 130
+    assert not unhandled
 
 
 def test_a_command_that_renders_says_that_it_was_interrupted(unhandled, monkeypatch):

@@ -5,6 +5,7 @@ import logging
 import math
 import pickle
 import threading
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -268,6 +269,15 @@ def test_a_ping_has_the_time_of_its_step_and_the_number_of_pings_before(scene, l
         assert (other.counts() != pings[0].counts()).any()
 
 
+def test_a_step_returns_the_ping_that_it_has_published(scene, loopback):
+    with publisher_of(scene, loopback, rate_hz=10.0) as publisher:
+        pings = [publisher.step(time_s, AT).ping for time_s in (0.0, 0.05, 0.1)]
+    assert pings[1] is None
+    sent = [bytes(message.image.data) for message in loopback.messages("/sonar/projected_image")]
+    assert sent == [counts_port_first(ping).tobytes() for ping in pings[::2]]
+    assert [ping.meta["time_s"] for ping in pings[::2]] == [0.0, 0.1]
+
+
 @pytest.mark.parametrize("missing", [False, True])
 def test_points_are_dense_where_each_ray_met_something(missing):
     points = np.ones((2, 3, 3), np.float32)
@@ -434,6 +444,27 @@ class HeldTransport(LoopbackTransport):
             self.holds.set()
             assert self.is_free.wait(WAIT_S)
         super().publish(topic, message, time_ns)
+
+
+def test_in_the_background_a_later_step_returns_the_ping(scene):
+    """Once, and the step after one with a mistake if that was the first since it was published."""
+    transport = HeldTransport()
+    with publisher_of(scene, transport, rate_hz=10.0, in_background=True) as publisher:
+        try:
+            assert publisher.step(0.0).ping is None
+            assert publisher.step(0.01).ping is None  # it is not published yet
+        finally:
+            transport.is_free.set()
+        while not publisher.counts.pings:
+            time.sleep(0.001)
+        time.sleep(0.05)  # the thread counts a ping shortly before it is done
+        with pytest.raises(Error, match="no such body"):
+            publisher.step(0.02, bodies={"no such body": None})
+        end_s = time.monotonic() + WAIT_S
+        while (ping := publisher.step(0.03).ping) is None:
+            assert time.monotonic() < end_s
+        assert ping.meta["time_s"] == 0.0
+        assert publisher.step(0.04).ping is None
 
 
 def test_in_the_background_a_slow_ping_holds_no_step_up(scene):
