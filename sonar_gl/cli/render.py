@@ -28,7 +28,8 @@ from sonar_gl.cli.common import (
     warn_of_hull,
     water_from,
 )
-from sonar_gl.core.errors import Error
+from sonar_gl.cli.output import echo
+from sonar_gl.core.errors import Error, some_names
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import check_fps, output_folder, save_animation, save_npz, save_png
 from sonar_gl.imaging.formats import FILMS, STILLS
@@ -36,6 +37,8 @@ from sonar_gl.imaging.styles import DemarcoStyle, FanStyle, shows_echo, what_lac
 from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
+from sonar_gl.scene.extent import bodies_beyond
+from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sonar import Sonar, too_short_step_s
 
@@ -84,6 +87,7 @@ def render(scene_name: str, options, given: set[str]) -> str:
     if options.counts is not None:
         sonar = _with_counts(sonar, options, style)
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses, water_from(options))
+    _note_bodies_beyond(scene, poses, acoustics.true_range_sonar(sonar).range_max_m)
     folder = output_folder(options.out)
     with Simulator(scene, sonar, acoustics, tolerance=options.tolerance) as simulator:
         if not in_demarco or "npz" in options.formats:  # the paper's picture is made of points alone
@@ -124,6 +128,13 @@ def _check_combination(options, given: set[str]):
         raise Error("--fps needs --format gif or --format mp4 (nothing else has frames)")
     for film in films:
         check_fps(options.fps, film)
+
+
+def _note_bodies_beyond(scene: Scene, poses, range_m: float) -> None:
+    """Say which bodies lie beyond the range in all pings; where all do, the warning of no echo says so."""
+    beyond = bodies_beyond(scene.bodies, np.array(poses)[:, :3, 3], range_m)
+    if 0 < len(beyond) < len(scene.bodies):
+        echo(f"range: {range_m:.4g} m; beyond it: {some_names(beyond)}", err=True)
 
 
 def _with_counts(sonar: Sonar, options, style: FanStyle) -> Sonar:

@@ -13,9 +13,8 @@ PLANE_FACES = 18  # of an infinite plane
 # A line up from a place passes so far beside corners and edges of meshes, x and y in metres: in the middle of a box it
 # would meet the edge between two triangles.
 BESIDE_M = 1.3e-6, 0.7e-6
-PAIRS = (
-    1 << 13
-)  # of corners and triangles that are compared at once: few, since the lowest corners often decide
+# Of corners and triangles that are compared at once: few, since the lowest corners often decide.
+PAIRS = 1 << 13
 LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long; what is as long and as high is in other units
 
 
@@ -40,6 +39,22 @@ def bounds_of(bodies: Iterable[Body]) -> np.ndarray | None:
     if not bounds:
         return None
     return np.array([np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]])
+
+
+def bodies_beyond(bodies: Iterable[Body], places: np.ndarray, range_m: float) -> list[str]:
+    """Return the names of bodies of which nothing lies within a range of any of some places.
+
+    Bodies are taken as boxes with sides along x, y and z: some that lie a little beyond the range are left out.
+
+    places : (n, 3) x, y, z in the world, metres
+    """
+    out = []
+    for body in bodies:
+        low, high = body_bounds(body)
+        aside = np.maximum(np.maximum(low - places, places - high), 0.0)
+        if np.linalg.norm(aside, axis=1).min() > range_m:
+            out.append(body.name)
+    return out
 
 
 def body_around(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, place: np.ndarray) -> str:

@@ -317,3 +317,16 @@ def test_poses_that_follow_too_quickly(tmp_path):
             out.write(poses, np.arange(3) * least_s)
             out.write(poses[:1])
         assert sg.load_npz(tmp_path / "tank_0002.npz").meta["time_s"] == 2 * least_s
+
+
+def test_bodies_beyond_the_range_are_named():
+    """With a preset of a short range a scene may look empty though its floor, or a nearer body, echoes."""
+    assert (
+        run("render", "tank.sdf", "--sonar", "small.toml", "--range", 4)[2] == "range: 4 m; beyond it: wall\n"
+    )
+    assert run("render", "tank.sdf", "--sonar", "small.toml")[2] == ""
+
+
+def test_all_bodies_beyond_the_range_are_left_to_the_warning_of_no_echo():
+    err = run("render", "tank.sdf", "--sonar", "small.toml", "--range", 2)[2]
+    assert err.startswith("warning: no echo came back: ") and "beyond it" not in err

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.scene.extent import air_text, body_around, bounds_of, gap_m, other_unit_text
+from sonar_gl.scene.extent import air_text, bodies_beyond, body_around, bounds_of, gap_m, other_unit_text
 from sonar_gl.scene.primitives import INFINITE_PLANE_M, plane
 from tests.support.worlds import terrain
 
@@ -124,3 +124,12 @@ def test_a_box_touches_a_hill_by_its_edge_or_by_the_peak(x, y, gap):
     assert gap_m([(CRATE, sg.pose(x, y, 3))], PYRAMID, np.eye(4)) == pytest.approx(gap, abs=1e-12)
     far = (CRATE, sg.pose(0, 0, 9))
     assert gap_m([far, (CRATE, sg.pose(x, y, 3))], PYRAMID, np.eye(4)) == pytest.approx(min(gap, 7.8))
+
+
+def test_bodies_beyond_a_range():
+    """By their nearest point, as far as boxes with sides along the axes tell, from the nearest of several places."""
+    wall = sg.Body("wall", trimesh.creation.box((2.0, 40.0, 2.0)), sg.pose(12, 0, 0))
+    assert bodies_beyond([BALL, wall], np.array([[0.0, 0, 0]]), 3.9) == ["ball", "wall"]
+    assert bodies_beyond([BALL, wall], np.array([[0.0, 0, 0]]), 4.1) == ["wall"]
+    assert bodies_beyond([BALL, wall], np.array([[0.0, 15, 0], [0, 19, 0]]), 11.1) == ["ball"]
+    assert bodies_beyond([BALL, wall], np.array([[0.0, 15, 0], [0, 0, 0]]), 11.1) == []
