@@ -29,6 +29,7 @@ from sonar_gl.scene.sdf.xacro import split_arguments
 
 SDF_SUFFIXES = (".sdf", ".world", ".urdf", ".xacro")
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+ADDRESS = "[A-Za-z][A-Za-z0-9+.-]*://"  # how one begins, by RFC 3986, section 3.1
 SUFFIXES = (*SDF_SUFFIXES, *mujoco_model.SUFFIXES, *mesh_files.SUFFIXES)
 
 
@@ -102,7 +103,7 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     path, bundled = Path(split_arguments(str(what))[0]), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
-    if isinstance(what, str) and re.match("[a-z]+://", what):
+    if isinstance(what, str) and re.match(ADDRESS, what):
         raise Error(
             f"a scene must be a bundled name or a path (got the address {shown(what)}; give the path of its file or "
             "folder on this machine)"

@@ -129,7 +129,16 @@ def test_invalid_paths(two_scenes):
         error_message(str(two_scenes))
         == f"{two_scenes}: a folder must be that of a model (it has neither model.config nor model.sdf)"
     )
-    for address in ("https://fuel.gazebosim.org/1.0/a/models/Boat", "model://boat", "file:///models/a.sdf"):
+    for address in (
+        "https://fuel.gazebosim.org/1.0/a/models/Boat",
+        "model://boat",
+        "file:///models/a.sdf",
+        "HTTPS://FUEL.GAZEBOSIM.ORG/1.0/a/models/Boat",
+        "Http://example.org/a.sdf",
+        "FUEL://boat",
+        "git+ssh://example.org/a.glb",
+        "s3://bucket/a.sdf",
+    ):
         assert error_message(address) == (
             f"a scene must be a bundled name or a path (got the address {address!r}; give the path of its file or "
             "folder on this machine)"
