@@ -25,7 +25,7 @@ RAREST = 10  # classes
 def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     """Make some pings of a job in a temporary folder, and return a text on the job's size and time."""
     requests = BatchRequests(job)
-    for text in (*requests.device_warnings(), *requests.hull_warnings()):
+    for text in requests.warnings():
         report(text)
     with (
         tempfile.TemporaryDirectory() as url,

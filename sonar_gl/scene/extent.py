@@ -16,6 +16,14 @@ BESIDE_M = 1.3e-6, 0.7e-6
 LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long; what is as long and as high is in other units
 
 
+class AirWarning(UserWarning):
+    """A sonar is above the water's surface."""
+
+
+class InsideWarning(UserWarning):
+    """A sonar is inside a body, or below a terrain."""
+
+
 def body_bounds(body: Body) -> np.ndarray:
     """Return the (2, 3) least and greatest coordinates of a body in the world, metres."""
     vertices = np.asarray(body.surface.vertices, np.float64) @ body.pose[:3, :3].T + body.pose[:3, 3]
