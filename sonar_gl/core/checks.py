@@ -49,10 +49,11 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
     except Error:
         raise
     except (TypeError, ValueError, OverflowError) as why:  # a whole number may be too large for a float
+        if isinstance(why, ValueError) and isinstance(array, (list, tuple)):
+            raise _shape_error(what, shape, _parts_text(array), hint) from None
         raise Error(f"{what} must be an array of numbers (got {type(array).__name__}: {why})") from None
     if out.shape != shape and not _fits(out.shape, shape):
-        wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise Error(f"{what} must have shape {wanted} (got {out.shape}{hint and f'; {hint}'})")
+        raise _shape_error(what, shape, out.shape, hint)
     if np.ma.is_masked(array):
         raise Error(f"{what} must be an array of numbers (got masked ones; fill them in, or leave them out)")
     if not np.isfinite(out).all():
@@ -60,6 +61,39 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
         raise Error(f"{what} must be finite (got NaN or infinity in {count} of {out.size} numbers)")
     out.setflags(write=False)
     return out
+
+
+def _shape_error(what: str, shape: tuple, got, hint: str) -> Error:
+    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+    return Error(f"{what} must have shape {wanted} (got {got}{hint and f'; {hint}'})")
+
+
+def _parts_text(parts: list | tuple) -> str:
+    """Return in words what has parts of several shapes.
+
+    >>> _parts_text(((0, 0, 0), [0, 0, 0, 1])), _parts_text([1, [2, 3]])
+    ('a tuple of parts of 3 and 4 numbers', 'a list of parts of several shapes')
+    """
+    lengths = [*map(_flat_length, parts)] if len(parts) == 2 else [None]
+    what = "several shapes" if None in lengths else f"{lengths[0]} and {lengths[1]} numbers"
+    return f"a {type(parts).__name__} of parts of {what}"
+
+
+def _flat_length(one) -> int | None:
+    """Return the length of a list, tuple or array that holds no others; None of anything else."""
+    is_flat = (
+        isinstance(one, (list, tuple, np.ndarray)) and is_iterable(one) and not any(map(is_iterable, one))
+    )
+    return len(one) if is_flat else None
+
+
+def is_position_and_quaternion(value) -> bool:
+    """Return whether a value is a pair of three numbers and four.
+
+    >>> is_position_and_quaternion(((0, 0, 0), [0, 0, 0, 1])), is_position_and_quaternion(np.eye(4))
+    (True, False)
+    """
+    return isinstance(value, (list, tuple)) and len(value) == 2 and [*map(_flat_length, value)] == [3, 4]
 
 
 class ArraysStayReadOnly:
