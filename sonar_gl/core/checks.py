@@ -24,8 +24,8 @@ def _is_read_only(array) -> bool:
     return array.flags.c_contiguous and not array.flags.writeable
 
 
-def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.ndarray:
-    """Return a read-only, finite, contiguous copy of `array`, or itself if it is such an array of its own.
+def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "", shares: bool = False) -> np.ndarray:
+    """Return a read-only, finite, contiguous copy of `array`.
 
     Parameters
     ----------
@@ -34,6 +34,8 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
     shape : required lengths; None allows any length
     what : name of the argument, with which the message begins
     hint : what to do instead, which ends the message about a shape
+    shares : return the array itself if it is all this already, and owns its numbers. Its owner could make it writeable
+        again, so this is for arrays that are large, or of which others find by identity that they are the same
 
     Raises
     ------
@@ -41,7 +43,7 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
         if the shape differs, or a value is not a finite number: text is none, nor what a mask hides.
     """
     try:
-        out = array if _is_read_only(array) else np.array(array, order="C")
+        out = array if shares and _is_read_only(array) else np.array(array, order="C")
         got = _other_contents(out)
         if got is not None:
             raise Error(f"{what} must be an array of numbers (got {got}: {shown(array)})")

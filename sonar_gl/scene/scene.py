@@ -83,6 +83,11 @@ class Body(ArraysStayReadOnly):
         texture also multiplies the body's diffuse echo, as of a floor with few or patchy scatterers, and the contrast
         becomes √(1 + 2/ν); None for fully developed speckle
 
+    Notes
+    -----
+    Arrays are copied, except for a `reflectivity` of float64 and `normals` of float32 that are read-only, in C order,
+    and own their numbers: bodies that are given the same one share it. Do not make such an array writeable again.
+
     Attributes
     ----------
     surface : the mesh as given, with `vertices` (V, 3), metres, and `faces` (F, 3). In bodies from files it
@@ -124,6 +129,7 @@ class Body(ArraysStayReadOnly):
             shape,
             f"{location}: reflectivity",
             "give one number, or one for each face",
+            shares=True,
         )
         if mu.min() < 0 or mu.max() > 1:
             raise Error(
@@ -133,7 +139,8 @@ class Body(ArraysStayReadOnly):
         self._set("reflectivity", float(mu) if one_value else mu)
         if self.normals is not None:
             self._set(
-                "normals", frozen_array(self.normals, np.float32, (n_vertices, 3), f"{location}: normals")
+                "normals",
+                frozen_array(self.normals, np.float32, (n_vertices, 3), f"{location}: normals", shares=True),
             )
 
     def _set(self, key: str, value):
@@ -161,7 +168,7 @@ class Body(ArraysStayReadOnly):
                 f"{location}: mesh faces must be an array of whole numbers of shape (F, 3) (got {got}; "
                 "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)"
             )
-        given = frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices")
+        given = frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices", shares=True)
         if abs(furthest := max(given.max(initial=0), given.min(initial=0), key=abs)) > MAX_POSITION_M:
             raise Error(
                 f"{location}: mesh vertices must lie within {MAX_POSITION_M:g} m of the mesh's origin (got "

@@ -45,3 +45,16 @@ def test_faces_name_vertices(wrong):
     mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, wrong]], process=False, validate=False)
     with pytest.raises(sg.Error, match=rf"faces must name vertices 0\.\.2 \(got {wrong}\)"):
         sg.Body("a", mesh)
+
+
+def test_a_read_only_pose_is_copied_and_read_only_normals_are_shared():
+    """The owner may make either writeable again; only of large arrays a copy costs more than that is worth."""
+    mesh = trimesh.creation.box((1, 1, 1))
+    mine, normals = sg.pose(1, 2, 3), np.full((8, 3), 3**-0.5, np.float32)
+    for one in (mine, normals):
+        one.setflags(write=False)
+    body = sg.Body("box", mesh, mine, normals=normals)
+    for one in (mine, normals):
+        one.setflags(write=True)
+    mine[0, 3] = 9.0
+    assert body.pose[0, 3] == 1.0 and body.normals is normals
