@@ -1004,6 +1004,23 @@ def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
     assert "labels of" not in run("batch", path, "--dry-run", "--workers", "1")[1]
 
 
+@pytest.mark.parametrize(
+    ("part", "more", "line"),
+    [
+        (
+            4,
+            "[ros]\n",
+            "8 pings in 2 parts of 4, each a file of the bag (a larger pings_per_part makes fewer files)",
+        ),
+        (8, "[ros]\n", "8 pings in 1 part"),
+        (4, "", "8 pings in 2 parts of 4"),
+    ],
+)
+def test_a_dry_run_says_of_how_many_files_a_bag_is(tmp_path, part, more, line):
+    job = write_plain_job(tmp_path, 8, part, more)
+    assert line in run("batch", job, "--dry-run", "--workers", "1")[1].splitlines()
+
+
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):
     """One ping fails once, as when the device is short of memory; another fails each time.
 
