@@ -53,7 +53,8 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "", shares: 
     except (TypeError, ValueError, OverflowError) as why:  # a whole number may be too large for a float
         if isinstance(why, ValueError) and isinstance(array, (list, tuple)):
             raise _shape_error(what, shape, _parts_text(array), hint) from None
-        raise Error(f"{what} must be an array of numbers (got {type(array).__name__}: {why})") from None
+        got = shown(array) if isinstance(why, TypeError) else f"{type(array).__name__}: {why}"
+        raise Error(f"{what} must be an array of numbers (got {got})") from None
     if out.shape != shape and not _fits(out.shape, shape):
         raise _shape_error(what, shape, out.shape, hint)
     if np.ma.is_masked(array):
@@ -142,6 +143,25 @@ def is_iterable(value) -> bool:
     (True, True, False, False)
     """
     return isinstance(value, Iterable) and not (isinstance(value, np.ndarray) and value.ndim == 0)
+
+
+def count_axes(value) -> int | None:
+    """Return how many axes the array of a value has: 0 of None and of a dict; None of parts of several shapes.
+
+    >>> count_axes(3.0), count_axes([3.0]), count_axes([[1], [2, 3]])
+    (0, 1, None)
+    """
+    try:
+        return np.ndim(value)
+    except ValueError:  # also of a list in itself
+        return None
+
+
+def as_array(value, what: str) -> np.ndarray:
+    """Return a value as an array, without a copy if it is one; raise an `Error` for parts of several shapes."""
+    if count_axes(value) is None:
+        raise Error(f"{what} must be an array (got {_parts_text(value)})")
+    return np.asarray(value)
 
 
 def check_iterable(name: str, value, cure: str):

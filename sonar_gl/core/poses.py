@@ -12,7 +12,7 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from sonar_gl.core.checks import frozen_array, is_position_and_quaternion, shown
+from sonar_gl.core.checks import count_axes, frozen_array, is_position_and_quaternion, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import check_kind_of_file, is_utf_16, read_error_text
 from sonar_gl.core.warn import warn_caller
@@ -100,9 +100,9 @@ def pose(
     [1.0, 3.0, 3.0, 1.0]
     """
     given = [x, y, z, roll, pitch, yaw]
-    # np.ndim of six numbers takes a third of the time of a pose
-    if not all(isinstance(number, float | int) or np.ndim(number) == 0 for number in given):
-        name, several = next((n, v) for n, v in zip(COLUMNS[1:], given, strict=True) if np.ndim(v))
+    # to ask NumPy about six numbers takes a third of the time of a pose
+    if not all(isinstance(number, float | int) or count_axes(number) == 0 for number in given):
+        name, several = next((n, v) for n, v in zip(COLUMNS[1:], given, strict=True) if count_axes(v) != 0)
         raise Error(
             f"pose takes six numbers, x y z roll pitch yaw (got {name} = {shown(several)}; of an array of six numbers "
             "write sonar_gl.pose(*numbers))"

@@ -85,6 +85,8 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     where a mesh has none; those of pyrender keep the normals that pyrender renders with. For objects and files of
     MuJoCo see `sonar_gl.scene.mujoco_model.convert_mujoco_model`.
     """
+    if not isinstance(skip_missing, bool | np.bool_):
+        raise Error(f"skip_missing must be True or False (got {shown(skip_missing)})")
     if is_pyrender_scene(what):
         return convert_pyrender_scene(what)
     if is_mujoco_model(what):

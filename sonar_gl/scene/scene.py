@@ -17,6 +17,7 @@ from sonar_gl.core.checks import (
     check_iterable,
     check_kind,
     check_number,
+    count_axes,
     frozen_array,
     is_iterable,
     shown,
@@ -121,7 +122,12 @@ class Body(ArraysStayReadOnly):
         if self.speckle_shape is not None:
             what, hint = f"{location}: speckle_shape", "below 1 is spiky, None is fully developed"
             self._set("speckle_shape", check_number(what, self.speckle_shape, *SPECKLE_SHAPE_BOUNDS, hint))
-        one_value = np.ndim(self.reflectivity) == 0
+        one_value = count_axes(self.reflectivity) == 0
+        if isinstance(self.reflectivity, bool | np.bool_):
+            got = shown(self.reflectivity)
+            raise Error(
+                f"{location}: reflectivity must be a number, or an array of one for each face (got {got})"
+            )
         shape = () if one_value else (n_faces,)
         mu = frozen_array(
             self.reflectivity,
@@ -154,7 +160,7 @@ class Body(ArraysStayReadOnly):
                 f"{location}: mesh must be a trimesh.Trimesh (got {type(self.surface).__name__}; sonar_gl.load_scene "
                 "makes bodies of a file or of a trimesh.Scene)"
             )
-        if np.shape(faces)[:1] == (0,):
+        if isinstance(faces, np.ndarray) and faces.shape[:1] == (0,):
             raise Error(
                 f"{location}: mesh must have at least one face (got {len(vertices)} vertices, 0 faces)"
             )

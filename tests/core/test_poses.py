@@ -99,6 +99,11 @@ def test_angles_count_where_a_file_has_both(read):
             "sonar_gl.pose(*numbers))",
         ),
         (
+            [0, [[1], [2, 3]]],
+            "pose takes six numbers, x y z roll pitch yaw (got y = [[1], [2, 3]]; of an array of six numbers write "
+            "sonar_gl.pose(*numbers))",
+        ),
+        (
             [0, 0, 0, 0, 0, [0.5]],
             "pose takes six numbers, x y z roll pitch yaw (got yaw = [0.5]; of an array of six numbers write "
             "sonar_gl.pose(*numbers))",

@@ -713,3 +713,11 @@ def test_a_scene_is_not_changed(name):
     assert vars(scene) == before
     for again in (copy.copy(scene), copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
         assert (again.name, again.surface_z_m, again.bodies[0].name) == ("scene", 0.0, "wall")
+
+
+@pytest.mark.parametrize("skip", ["no", 1, None, np.array([True])])
+def test_whether_to_skip_what_is_missing_is_true_or_false(skip):
+    """A text such as "no" would be taken for True."""
+    with pytest.raises(Error) as caught:
+        load_scene("pylon", skip_missing=skip)
+    assert str(caught.value) == f"skip_missing must be True or False (got {skip!r})"

@@ -1,5 +1,7 @@
 """Scenes made from scenes, parts of models, and meshes that are refused."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import trimesh
@@ -58,3 +60,29 @@ def test_a_read_only_pose_is_copied_and_read_only_normals_are_shared():
         one.setflags(write=True)
     mine[0, 3] = 9.0
     assert body.pose[0, 3] == 1.0 and body.normals is normals
+
+
+@pytest.mark.parametrize(
+    ("reflectivity", "got"),
+    [
+        (
+            [[0.5], [0.5, 0.5]],
+            "must have shape (12) (got a list of parts of 1 and 2 numbers; give one number, or ",
+        ),
+        (True, "must be a number, or an array of one for each face (got True)"),
+        (np.True_, "must be a number, or an array of one for each face (got np.True_)"),
+    ],
+)
+def test_a_reflectivity_that_is_no_number_is_refused(reflectivity, got):
+    with pytest.raises(sg.Error) as caught:
+        sg.Body("box", trimesh.creation.box(), reflectivity=reflectivity)
+    assert str(caught.value).startswith(f"body 'box': reflectivity {got}")
+
+
+@pytest.mark.parametrize("faces", [[[0, 1, 2], [0, 1]], [], [[0, 1, 2]]])
+def test_faces_that_are_no_array_are_refused(faces):
+    mesh = SimpleNamespace(vertices=np.eye(3), faces=faces)
+    with pytest.raises(
+        sg.Error, match=r"^body 'odd': mesh faces must be an array of whole numbers .* \(got list; "
+    ):
+        sg.Body("odd", mesh)
