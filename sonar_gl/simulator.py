@@ -27,7 +27,7 @@ from sonar_gl.raster.point_cloud import point_cloud
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.sonar.fan import Fan
-from sonar_gl.sonar.sampling import Sampling
+from sonar_gl.sonar.sampling import Sampling, check_tolerance
 from sonar_gl.sonar.sonar import Sonar
 
 
@@ -79,6 +79,7 @@ class Simulator:
         check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
         check_kind("acoustics", acoustics, Acoustics | None, "such as sonar_gl.Acoustics.physical()")
         check_kind("sampling", sampling, Sampling | None, "such as sonar_gl.Sampling(2, 100)")
+        tolerance = check_tolerance(tolerance)  # beside samples, multipath keeps it
         self._sonar = sonar
         self._acoustics = acoustics if acoustics is not None else Acoustics.physical()
         if isinstance(scene, Simulator):

@@ -13,7 +13,8 @@ off, whose rays are limited. The cost is the time of a ping and its samples, ove
 level that would have kept the promise, in the same run; of pings alone, over those of a planned ping.
 
 Pools have a calm surface, by which multipath returns up to a hundred times the direct echo. The reference has no
-multipath: the truth is a ping of up to nine times as many samples as the finest one that is judged.
+multipath: the truth is a ping of up to nine times as many samples as the finest one that is judged. A pool of which no
+finer one fits is left out.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ import numpy as np
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.sonar.sampling import WORST_BODY, level_of, sampling_at
 from tests.support.worlds import random_pool, random_world
 from tools import internals
@@ -201,21 +203,37 @@ class PoolOutcome:
     error_estimate: float
 
 
-def try_pool(seed: int) -> list[PoolOutcome]:
-    """Return the outcomes of the first ping in one pool; none if there is no multipath."""
+def find_truth(what: tuple, pose: np.ndarray, finest: sg.Sampling) -> tuple[sg.Ping, sg.Ping] | None:
+    """Return a ping of more samples than the finest one that is judged, and its direct echo; None if no such one fits.
+
+    what : scene, sonar and acoustics
+    """
+    scene, sonar, acoustics = what
+    finer = min(3.0, (MOST_SAMPLES / finest.count(sonar)) ** 0.5)
+    while finer > 1:
+        many = sg.Sampling(finer * finest.columns_per_beam, round(finer * finest.rows))
+        finer /= 2**0.5
+        with contextlib.suppress(SampleLimitError), sg.Simulator(scene, sonar, acoustics, many) as simulator:
+            truth = internals.ping_with_all_samples(simulator, pose)
+            without = replace(acoustics, multipath="none")
+            with sg.Simulator(simulator, sonar, without, many) as direct:
+                return truth, direct.ping(pose)
+    return None
+
+
+def try_pool(seed: int) -> list[PoolOutcome] | None:
+    """Return the outcomes of the first ping in one pool; none if there is no multipath; None without a truth."""
     scene, sonar, pose, acoustics = random_pool(seed)
     pings = []
     for tolerance in POOL_TOLERANCES:
         with sg.Simulator(scene, sonar, acoustics, tolerance=tolerance) as simulator:
             pings.append(simulator.ping(pose))
     finest = max((sg.Sampling(**ping.meta["sampling"]) for ping in pings), key=lambda one: one.count(sonar))
-    finer = min(3.0, (MOST_SAMPLES / finest.count(sonar)) ** 0.5)
-    many = sg.Sampling(finer * finest.columns_per_beam, round(finer * finest.rows))
-    with sg.Simulator(scene, sonar, acoustics, many) as simulator:
-        truth = internals.ping_with_all_samples(simulator, pose)
-    with sg.Simulator(scene, sonar, replace(acoustics, multipath="none"), many) as simulator:
-        direct = float(simulator.ping(pose).intensity.sum(dtype=float))
-    multipath = float(truth.intensity.sum(dtype=float)) / max(direct, 1e-30) - 1
+    if (found := find_truth((scene, sonar, acoustics), pose, finest)) is None:
+        return None
+    truth, direct = found
+    whole, part = (float(ping.intensity.sum(dtype=float)) for ping in (truth, direct))
+    multipath = whole / max(part, 1e-30) - 1
     return [
         PoolOutcome(seed, tolerance, multipath, ping_error(ping, truth), ping.error_estimate)
         for tolerance, ping in zip(POOL_TOLERANCES, pings if multipath > 1e-3 else (), strict=False)
@@ -286,17 +304,23 @@ def main():
     if options.pools and options.alone:
         parser.error("--alone is of worlds, not of --pools")
     try_ping = try_alone if options.alone else try_plan_and_cost
-    outcomes, seed, first = [], options.first, options.first
+    outcomes, left_out, seed, first = [], [], options.first, options.first
     with warnings.catch_warnings(), contextlib.suppress(KeyboardInterrupt):  # Ctrl-C prints the table so far
         warnings.simplefilter("ignore", UserWarning)
         while len({o.seed for o in outcomes}) < (options.pools or options.worlds):
-            outcomes += try_pool(seed) if options.pools else try_tolerances(World(seed), try_ping)
+            tried = try_pool(seed) if options.pools else try_tolerances(World(seed), try_ping)
+            outcomes += tried or []
+            left_out += [seed] if tried is None else []
             seed += 1
             if sys.stderr.isatty():
                 print(f"\r{seed - first} worlds", end="", file=sys.stderr)
     with sg.Simulator(sg.Scene([]), random_world(0)[1]) as simulator:
         print(f"seeds {first} to {seed - 1}, on {simulator.gl_info['renderer']}")
     report_pools(outcomes) if options.pools else report(outcomes)
+    if left_out:
+        print(
+            f"left out, as no truth fits that is finer than what it judges: {len(left_out)}, seeds {left_out}"
+        )
     if options.alone:
         total, of_plans = (sum(getattr(o.cost, name) for o in outcomes) for name in ("ms", "other_ms"))
         print(f"all pings alone over all planned pings: {total / of_plans:.2f} times the time")

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import Water
-from sonar_gl.core.checks import check_kind
+from sonar_gl.core.checks import check_kind, count_axes, is_position_and_quaternion
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
@@ -317,8 +317,8 @@ def _make_case(scene, sonar, tolerance, poses, acoustics=None, noise=None) -> _C
         if described.sonar_pose is None:
             raise Error(f"scene {described.name!r} has no sonar in it; give a pose")
         poses = [described.sonar_pose]
-    elif not hasattr(poses, "__len__"):
-        poses = list(several_poses(poses))
+    elif not isinstance(several_poses(poses), Sequence | np.ndarray):
+        poses = list(poses)
     if not len(poses):
         raise Error("poses must hold at least one pose (got none)")
     acoustics, noise = everything_on(acoustics or Acoustics.physical(), noise or Noise.physical())
@@ -533,7 +533,7 @@ def needed_acoustics(
         if there is no pose, or an argument is wrong.
     """
     acoustics = Acoustics.physical() if water is None else Acoustics.physical().in_water(water)
-    poses = [pose] if pose is not None and np.ndim(pose) == 2 else pose
+    poses = [pose] if count_axes(pose) == 2 or is_position_and_quaternion(pose) else pose
     case = _make_case(scene, sonar, tolerance, poses, acoustics)
     with ExitStack() as stack, collected_warnings(ToleranceWarning):  # they are for callers that make pings
         prices = _Comparison(stack, case).judge()

@@ -25,7 +25,7 @@ RAREST = 10  # classes
 def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     """Make some pings of a job in a temporary folder, and return a text on the job's size and time."""
     requests = BatchRequests(job)
-    for text in (*requests.device_warnings(), *requests.hull_warnings()):
+    for text in requests.warnings():
         report(text)
     with (
         tempfile.TemporaryDirectory() as url,
@@ -51,7 +51,8 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         if text := other_unit_text(requests.scene(scene)):
             report(f"warning: {job.scenes[scene]}: {text}")
     parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
-    lines.append(f"{n} pings in {parts}")
+    files = ", each a file of the bag (a larger pings_per_part makes fewer files)"
+    lines.append(f"{n} pings in {parts}{files if job.ros is not None and manifest.n_parts > 1 else ''}")
     size = _amount(n * tried.bytes_per_ping)
     lines.append(f"size: {size} ({tried.bytes_per_ping / 1e3:.0f} kB a ping)")
     one_s, processes = n * tried.seconds_per_ping, min(len(devices), manifest.n_parts)

@@ -27,6 +27,7 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sequence import make_pings
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.ping import Ping
+from sonar_gl.scene.extent import AirWarning, InsideWarning
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sampling import ToleranceWarning
 
@@ -108,18 +109,23 @@ def reported_warnings(
     """Report the warnings of a block, also if it fails: the next try does not warn of what a simulator says once.
 
     No warning names its ping, since in a sequence it may be one that is made ahead. That a ping has no echo is not
-    reported: the table says it.
+    reported: the table says it. Nor is a sonar in a body, of which `BatchRequests.place_warnings` tells: a simulator
+    looks at its own first ping, and which one that is depends on the number of processes. For the same reason a sonar
+    in the air is reported without its height.
 
     unmet : scene and sonar of which it was said that a tolerance is not met, since it is said once; grows
     """
+    place = f"warning: {sonar} in {batch.requests.job.scenes[scene]}: "
     with collected_warnings() as found:
         try:
             yield
         finally:
             for warning in found:
-                text = f"warning: {sonar} in {batch.requests.job.scenes[scene]}: {warning.text}"
-                if issubclass(warning.category, NoEchoWarning):
+                text = place + warning.text
+                if issubclass(warning.category, NoEchoWarning | InsideWarning):
                     continue
+                if issubclass(warning.category, AirWarning):
+                    text = f"{place}the sonar is above the water's surface in some pings, on which it has no effect"
                 if issubclass(warning.category, ToleranceWarning):
                     if (scene, sonar) in unmet:
                         continue

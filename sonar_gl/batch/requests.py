@@ -26,7 +26,7 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.receiver import receiver_levels_db
 from sonar_gl.noise.settings import PRESETS, Noise, check_moved_amounts
 from sonar_gl.ros.messages import MAX_TIME_S as MAX_ROS_TIME_S
-from sonar_gl.scene.extent import body_bounds, gap_m
+from sonar_gl.scene.extent import body_bounds, gap_m, inside_text
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Body, Scene, hull_patterns, hull_text
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
@@ -159,6 +159,7 @@ class BatchRequests(Sequence):
         self._starts = [run.numbers.start for run in self.runs]
         self._scenes, self._moved_names, self._apart_groups, self._files = {}, {}, {}, {}
         self._vehicles: dict[int, _Vehicle | None] = {}  # of each scene; None without a hull
+        self._places: dict[int, list[str]] = {}  # of each scene, where its first ping has a sonar in a body
         self._check_names_of_bodies()
 
     def _load_trajectory(self, index: int) -> Trajectory:
@@ -198,6 +199,36 @@ class BatchRequests(Sequence):
                         f"warning: {self.job.where}: poses[{k}]: sonar {name!r} makes {max_rate_hz:.4g} pings a second "
                         f"at most (got {1 / shortest_s:.4g}; its range, its ping_rate_max_hz, or the times)"
                     )
+
+    def warnings(self) -> Iterator[str]:
+        """Yield what is said of the job before any ping, whatever makes the pings."""
+        yield from self.device_warnings()
+        yield from self.hull_warnings()
+        yield from self.place_warnings()
+
+    def place_warnings(self) -> Iterator[str]:
+        """Yield a sentence about each sonar that is inside a body in the first ping of a scene.
+
+        To look at each ping would take as long as to make them.
+        """
+        for index in range(len(self.job.scenes)):
+            if index not in self._places:
+                self.scene(index)
+            yield from self._places[index]
+
+    def _find_places(self, index: int) -> list[str]:
+        """Return the warnings of the sonars that are inside a body in the first ping of a scene."""
+        bodies = self.scene(index).bodies
+        request = self[next(run.numbers[0] for run in self.runs if run.scene == index)]
+        poses = [request.bodies.get(body.name, body.pose) for body in bodies]
+        present = np.array([pose is not None for pose in poses], bool)
+        poses = [np.eye(4) if pose is None else pose for pose in poses]
+        place = f"in {self.job.scenes[index]}: ping {request.number}"
+        texts = {
+            name: inside_text(bodies, poses, present, (request.vehicle_pose @ mount)[:3, 3])
+            for name, mount in self.mounts.items()
+        }
+        return [f"warning: {name} {place}: {text}" for name, text in texts.items() if text]
 
     def hull_warnings(self) -> Iterator[str]:
         """Yield a sentence about each scene in which the sonars leave the hull of their vehicle behind."""
@@ -319,6 +350,8 @@ class BatchRequests(Sequence):
         )
         self._vehicles[index] = hull
         self._scenes[index] = scene
+        if index not in self._places:  # now, since many scenes are not loaded again for it
+            self._places[index] = self._find_places(index)
 
     def _check_names_of_bodies(self) -> None:
         """Raise an Error if `only` or `without` names what no scene has, or leaves nothing of a scene."""

@@ -127,7 +127,7 @@ def run(
     if job.ros is not None and not folder.is_local:
         raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
     batch = Batch(job, folder)  # finds what is wrong with the job before anything is made
-    for text in (*batch.requests.device_warnings(), *batch.requests.hull_warnings()):
+    for text in batch.requests.warnings():
         report(text)
     folder.create()
     any_system = settings.any_system

@@ -376,7 +376,10 @@ def ping_variables(requests: BatchRequests, table: PingTable, sonar: str) -> Ite
     shape, dims = (4, 4), ("row", "column")
     yield variable("pose", sonar_poses, "world_from_sonar", shape=shape, dims=dims, comment=axes)
     yield variable("echo", column(("echo", sonar)), "sum of intensity before noise", units="1")
-    long_name = "share of the echo in wrong bins, in 95 of 100 pings less"
+    long_name = (
+        "estimated share of the echo in wrong bins, or a fifth of the error of a body's own echo if that is more "
+        "and breaks the tolerance"
+    )
     yield variable("error_estimate", column(("error_estimate", sonar)), long_name, units="1")
     long_name = "samples across one beam spacing, in azimuth"
     yield variable("columns_per_beam", column(("sampling", sonar)), long_name, units="1")

@@ -24,8 +24,8 @@ def _is_read_only(array) -> bool:
     return array.flags.c_contiguous and not array.flags.writeable
 
 
-def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.ndarray:
-    """Return a read-only, finite, contiguous copy of `array`, or itself if it is such an array of its own.
+def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "", shares: bool = False) -> np.ndarray:
+    """Return a read-only, finite, contiguous copy of `array`.
 
     Parameters
     ----------
@@ -34,6 +34,8 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
     shape : required lengths; None allows any length
     what : name of the argument, with which the message begins
     hint : what to do instead, which ends the message about a shape
+    shares : return the array itself if it is all this already, and owns its numbers. Its owner could make it writeable
+        again, so this is for arrays that are large, or of which others find by identity that they are the same
 
     Raises
     ------
@@ -41,7 +43,7 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
         if the shape differs, or a value is not a finite number: text is none, nor what a mask hides.
     """
     try:
-        out = array if _is_read_only(array) else np.array(array, order="C")
+        out = array if shares and _is_read_only(array) else np.array(array, order="C")
         got = _other_contents(out)
         if got is not None:
             raise Error(f"{what} must be an array of numbers (got {got}: {shown(array)})")
@@ -49,10 +51,12 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
     except Error:
         raise
     except (TypeError, ValueError, OverflowError) as why:  # a whole number may be too large for a float
-        raise Error(f"{what} must be an array of numbers (got {type(array).__name__}: {why})") from None
+        if isinstance(why, ValueError) and isinstance(array, (list, tuple)):
+            raise _shape_error(what, shape, _parts_text(array), hint) from None
+        got = shown(array) if isinstance(why, TypeError) else f"{type(array).__name__}: {why}"
+        raise Error(f"{what} must be an array of numbers (got {got})") from None
     if out.shape != shape and not _fits(out.shape, shape):
-        wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise Error(f"{what} must have shape {wanted} (got {out.shape}{hint and f'; {hint}'})")
+        raise _shape_error(what, shape, out.shape, hint)
     if np.ma.is_masked(array):
         raise Error(f"{what} must be an array of numbers (got masked ones; fill them in, or leave them out)")
     if not np.isfinite(out).all():
@@ -60,6 +64,39 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "") -> np.nd
         raise Error(f"{what} must be finite (got NaN or infinity in {count} of {out.size} numbers)")
     out.setflags(write=False)
     return out
+
+
+def _shape_error(what: str, shape: tuple, got, hint: str) -> Error:
+    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+    return Error(f"{what} must have shape {wanted} (got {got}{hint and f'; {hint}'})")
+
+
+def _parts_text(parts: list | tuple) -> str:
+    """Return in words what has parts of several shapes.
+
+    >>> _parts_text(((0, 0, 0), [0, 0, 0, 1])), _parts_text([1, [2, 3]])
+    ('a tuple of parts of 3 and 4 numbers', 'a list of parts of several shapes')
+    """
+    lengths = [*map(_flat_length, parts)] if len(parts) == 2 else [None]
+    what = "several shapes" if None in lengths else f"{lengths[0]} and {lengths[1]} numbers"
+    return f"a {type(parts).__name__} of parts of {what}"
+
+
+def _flat_length(one) -> int | None:
+    """Return the length of a list, tuple or array that holds no others; None of anything else."""
+    is_flat = (
+        isinstance(one, (list, tuple, np.ndarray)) and is_iterable(one) and not any(map(is_iterable, one))
+    )
+    return len(one) if is_flat else None
+
+
+def is_position_and_quaternion(value) -> bool:
+    """Return whether a value is a pair of three numbers and four.
+
+    >>> is_position_and_quaternion(((0, 0, 0), [0, 0, 0, 1])), is_position_and_quaternion(np.eye(4))
+    (True, False)
+    """
+    return isinstance(value, (list, tuple)) and len(value) == 2 and [*map(_flat_length, value)] == [3, 4]
 
 
 class ArraysStayReadOnly:
@@ -106,6 +143,25 @@ def is_iterable(value) -> bool:
     (True, True, False, False)
     """
     return isinstance(value, Iterable) and not (isinstance(value, np.ndarray) and value.ndim == 0)
+
+
+def count_axes(value) -> int | None:
+    """Return how many axes the array of a value has: 0 of None and of a dict; None of parts of several shapes.
+
+    >>> count_axes(3.0), count_axes([3.0]), count_axes([[1], [2, 3]])
+    (0, 1, None)
+    """
+    try:
+        return np.ndim(value)
+    except ValueError:  # also of a list in itself
+        return None
+
+
+def as_array(value, what: str) -> np.ndarray:
+    """Return a value as an array, without a copy if it is one; raise an `Error` for parts of several shapes."""
+    if count_axes(value) is None:
+        raise Error(f"{what} must be an array (got {_parts_text(value)})")
+    return np.asarray(value)
 
 
 def check_iterable(name: str, value, cure: str):

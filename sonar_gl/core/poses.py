@@ -12,13 +12,17 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from sonar_gl.core.checks import frozen_array, shown
+from sonar_gl.core.checks import count_axes, frozen_array, is_position_and_quaternion, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.input_files import check_kind_of_file, is_utf_16, read_error_text
 from sonar_gl.core.warn import warn_caller
 
 TURN_RAD = 2 * np.pi + 1e-6  # with room for rounded numbers
 POSE_HINT = "sonar_gl.pose makes one from x y z roll pitch yaw"
+QUATERNION_HINT = (
+    "of a position and a quaternion, fill np.eye(4): [:3, :3] with scipy.spatial.transform.Rotation.from_quat(xyzw)"
+    ".as_matrix(), and [:3, 3] with the position"
+)
 MAX_UNWRAPPED_RAD = 1e5  # 16000 turns, of which float64 still resolves 1e-11 rad
 ROUNDED = 1e-3  # deviation from a rotation that rounding may have caused, and hardly a scale
 MAX_POSITION_M = 1e9  # of an origin; squares of much greater lengths overflow
@@ -31,7 +35,8 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
 
     Warns of one in float32 so far from the origin, as in UTM, that its place has been rounded.
     """
-    out = frozen_array(matrix, np.float64, (4, 4), what, POSE_HINT)
+    hint = QUATERNION_HINT if is_position_and_quaternion(matrix) else POSE_HINT
+    out = frozen_array(matrix, np.float64, (4, 4), what, hint)
     # Python floats take a sixth of NumPy's time for nine numbers, and this runs at every ping.
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = out.tolist()
     lengths = a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1
@@ -95,9 +100,9 @@ def pose(
     [1.0, 3.0, 3.0, 1.0]
     """
     given = [x, y, z, roll, pitch, yaw]
-    # np.ndim of six numbers takes a third of the time of a pose
-    if not all(isinstance(number, float | int) or np.ndim(number) == 0 for number in given):
-        name, several = next((n, v) for n, v in zip(COLUMNS[1:], given, strict=True) if np.ndim(v))
+    # to ask NumPy about six numbers takes a third of the time of a pose
+    if not all(isinstance(number, float | int) or count_axes(number) == 0 for number in given):
+        name, several = next((n, v) for n, v in zip(COLUMNS[1:], given, strict=True) if count_axes(v) != 0)
         raise Error(
             f"pose takes six numbers, x y z roll pitch yaw (got {name} = {shown(several)}; of an array of six numbers "
             "write sonar_gl.pose(*numbers))"

@@ -25,7 +25,7 @@ from sonar_gl.engine.sampler import FixedSampling
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import IN_USE, World
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES, MAX_SAMPLES
-from sonar_gl.scene.extent import air_text, inside_text
+from sonar_gl.scene.extent import AirWarning, InsideWarning, air_text, inside_text
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
@@ -175,7 +175,7 @@ class Run:
         """Warn, once, of a sonar above the water's surface."""
         if not self._has_warned_of_air and (text := air_text(self.world.scene, pose)):
             self._has_warned_of_air = True
-            warn_caller(text)
+            warn_caller(text, AirWarning)
 
     def _warn_of_body(self, setup: PingSetup) -> None:
         """Warn of a sonar inside a body in the first ping: to look at each would take as long as a ping."""
@@ -184,7 +184,7 @@ class Run:
             bodies, state = self.world.scene.bodies[: setup.n_bodies], setup.state
             text = inside_text(bodies, state.poses, state.present, setup.head_pose[:3, 3])
             if text:
-                warn_caller(text)
+                warn_caller(text, InsideWarning)
 
     def with_later_bodies(self, setup: PingSetup) -> PingSetup:
         """Return a setup with the bodies that were added to the scene after it was made, as absent ones.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sonar_gl.core.checks import check_choice, check_kind, check_whole_number, holds_numbers, shown
+from sonar_gl.core.checks import as_array, check_choice, check_kind, check_whole_number, holds_numbers, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.imaging.colormaps import ANCHORS, DEFAULT_COLORMAP
 from sonar_gl.ping import Ping
@@ -343,7 +343,7 @@ def colorize(image: np.ndarray, name: str = DEFAULT_COLORMAP) -> np.ndarray:
 
     Raises Error if the name is unknown or the image has another shape or type.
     """
-    table, image = colours(name), np.asarray(image)
+    table, image = colours(name), as_array(image, "the image of colorize")
     is_float_image = image.ndim == 2 and image.dtype.kind == "f"
     if not is_float_image or not image.size:  # without a pixel OpenCV ends the process
         raise Error(f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype})")

@@ -16,6 +16,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.atomic_file import atomic_write, describe_os_error, write_trial
 from sonar_gl.core.checks import (
+    as_array,
     check_file_name,
     check_iterable,
     check_kind,
@@ -306,7 +307,7 @@ def _checked_frames(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
     """Yield the frames in 8 bits; raise an Error for one whose shape differs from the first one's."""
     shape = None
     for index, frame in enumerate(frames):
-        frame = np.asarray(frame)
+        frame = as_array(frame, f"frame {index} of an animation")
         frame = frame / np.float32(65535) if _is_16_bit(frame) else frame
         frame = eight_bit(frame, f"frame {index} of an animation")
         shape = shape or frame.shape
@@ -319,7 +320,7 @@ def _checked_frames(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
 
 def whole_numbers(picture: np.ndarray, what: str) -> np.ndarray:
     """Return 16-bit gray, (H, W) uint16, as it is, and any other picture as `eight_bit` does."""
-    picture = np.asarray(picture)
+    picture = as_array(picture, what)
     return picture if _is_16_bit(picture) else eight_bit(picture, what)
 
 

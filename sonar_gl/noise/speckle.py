@@ -129,7 +129,10 @@ def beam_nodes(
         weights /= np.sqrt((weights**2).sum(axis=1, keepdims=True))
         return BeamNodes(None, None, first, weights.astype(np.float32))
 
-    positions = (np.arange(elements) - (elements - 1) / 2) / elements
+    # In a circle each wave has a whole number of periods, or fields would change their sign where it closes. Of an even
+    # number of waves, that is one more, and half the power of the outermost two.
+    is_split = is_circle and elements % 2 == 0
+    positions = (np.arange(elements + is_split) - (elements - 1 + is_split) / 2) / elements
     frequencies = positions / OVERSAMPLING  # in periods from node to node
     phase = 2 * np.pi * (np.arange(2 * half) - (half - 0.5))[:, None] * frequencies
     # frequencies come in pairs ±f: cosine for one, sine for the other, √2 each; 0 has no partner
@@ -137,6 +140,8 @@ def beam_nodes(
     waves[:, frequencies == 0] = 1.0
     root = np.sqrt(KAISER**2 - (np.pi * TAPS * frequencies) ** 2)
     waves *= aperture_weights(positions, taper_series) * root / np.sinh(root)
+    if is_split:
+        waves[:, [0, -1]] *= np.sqrt(0.5)
     weights = np.i0(KAISER * np.sqrt(np.maximum(1 - (2 * off / TAPS) ** 2, 0)))
     of_beams = sum(weights[:, [tap]] * waves[first + tap] for tap in range(TAPS))
     weights /= np.sqrt((of_beams**2).sum(axis=1, keepdims=True))

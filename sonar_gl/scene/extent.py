@@ -18,6 +18,14 @@ PAIRS = 1 << 13
 LONG_M, HIGH_M = 500.0, 100.0  # terrain may be as long; what is as long and as high is in other units
 
 
+class AirWarning(UserWarning):
+    """A sonar is above the water's surface."""
+
+
+class InsideWarning(UserWarning):
+    """A sonar is inside a body, or below a terrain."""
+
+
 def body_bounds(body: Body, pose: np.ndarray | None = None) -> np.ndarray:
     """Return the (2, 3) least and greatest coordinates of a body in the world, metres, by default at its own pose."""
     pose = body.pose if pose is None else pose

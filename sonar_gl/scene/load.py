@@ -29,6 +29,7 @@ from sonar_gl.scene.sdf.xacro import split_arguments
 
 SDF_SUFFIXES = (".sdf", ".world", ".urdf", ".xacro")
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+ADDRESS = "[A-Za-z][A-Za-z0-9+.-]*://"  # how one begins, by RFC 3986, section 3.1
 SUFFIXES = (*SDF_SUFFIXES, *mujoco_model.SUFFIXES, *mesh_files.SUFFIXES)
 
 
@@ -84,6 +85,8 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     where a mesh has none; those of pyrender keep the normals that pyrender renders with. For objects and files of
     MuJoCo see `sonar_gl.scene.mujoco_model.convert_mujoco_model`.
     """
+    if not isinstance(skip_missing, bool | np.bool_):
+        raise Error(f"skip_missing must be True or False (got {shown(skip_missing)})")
     if is_pyrender_scene(what):
         return convert_pyrender_scene(what)
     if is_mujoco_model(what):
@@ -102,7 +105,7 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     path, bundled = Path(split_arguments(str(what))[0]), bundled_scenes()
     if isinstance(what, str) and what in bundled:
         return read_sdf(bundled[what], resource_paths, skip_missing)
-    if isinstance(what, str) and re.match("[a-z]+://", what):
+    if isinstance(what, str) and re.match(ADDRESS, what):
         raise Error(
             f"a scene must be a bundled name or a path (got the address {shown(what)}; give the path of its file or "
             "folder on this machine)"

@@ -17,6 +17,7 @@ from sonar_gl.core.checks import (
     check_iterable,
     check_kind,
     check_number,
+    count_axes,
     frozen_array,
     is_iterable,
     shown,
@@ -83,6 +84,11 @@ class Body(ArraysStayReadOnly):
         texture also multiplies the body's diffuse echo, as of a floor with few or patchy scatterers, and the contrast
         becomes √(1 + 2/ν); None for fully developed speckle
 
+    Notes
+    -----
+    Arrays are copied, except for a `reflectivity` of float64 and `normals` of float32 that are read-only, in C order,
+    and own their numbers: bodies that are given the same one share it. Do not make such an array writeable again.
+
     Attributes
     ----------
     surface : the mesh as given, with `vertices` (V, 3), metres, and `faces` (F, 3). In bodies from files it
@@ -116,7 +122,12 @@ class Body(ArraysStayReadOnly):
         if self.speckle_shape is not None:
             what, hint = f"{location}: speckle_shape", "below 1 is spiky, None is fully developed"
             self._set("speckle_shape", check_number(what, self.speckle_shape, *SPECKLE_SHAPE_BOUNDS, hint))
-        one_value = np.ndim(self.reflectivity) == 0
+        one_value = count_axes(self.reflectivity) == 0
+        if isinstance(self.reflectivity, bool | np.bool_):
+            got = shown(self.reflectivity)
+            raise Error(
+                f"{location}: reflectivity must be a number, or an array of one for each face (got {got})"
+            )
         shape = () if one_value else (n_faces,)
         mu = frozen_array(
             self.reflectivity,
@@ -124,6 +135,7 @@ class Body(ArraysStayReadOnly):
             shape,
             f"{location}: reflectivity",
             "give one number, or one for each face",
+            shares=True,
         )
         if mu.min() < 0 or mu.max() > 1:
             raise Error(
@@ -133,7 +145,8 @@ class Body(ArraysStayReadOnly):
         self._set("reflectivity", float(mu) if one_value else mu)
         if self.normals is not None:
             self._set(
-                "normals", frozen_array(self.normals, np.float32, (n_vertices, 3), f"{location}: normals")
+                "normals",
+                frozen_array(self.normals, np.float32, (n_vertices, 3), f"{location}: normals", shares=True),
             )
 
     def _set(self, key: str, value):
@@ -147,7 +160,7 @@ class Body(ArraysStayReadOnly):
                 f"{location}: mesh must be a trimesh.Trimesh (got {type(self.surface).__name__}; sonar_gl.load_scene "
                 "makes bodies of a file or of a trimesh.Scene)"
             )
-        if np.shape(faces)[:1] == (0,):
+        if isinstance(faces, np.ndarray) and faces.shape[:1] == (0,):
             raise Error(
                 f"{location}: mesh must have at least one face (got {len(vertices)} vertices, 0 faces)"
             )
@@ -161,7 +174,7 @@ class Body(ArraysStayReadOnly):
                 f"{location}: mesh faces must be an array of whole numbers of shape (F, 3) (got {got}; "
                 "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)"
             )
-        given = frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices")
+        given = frozen_array(vertices, np.float64, (None, 3), f"{location}: mesh vertices", shares=True)
         if abs(furthest := max(given.max(initial=0), given.min(initial=0), key=abs)) > MAX_POSITION_M:
             raise Error(
                 f"{location}: mesh vertices must lie within {MAX_POSITION_M:g} m of the mesh's origin (got "

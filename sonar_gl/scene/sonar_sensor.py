@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sonar_gl.core.checks import check_kind, check_number
+from sonar_gl.core.poses import check_pose
 from sonar_gl.sonar.sonar import Sonar
 
 DEFAULT_SONAR = "p900-45"  # preset; its values stand for those that a sensor does not state
@@ -15,6 +17,11 @@ SONAR_WORDS = ("sonar", "fls", "multibeam")  # in names of what stands for a son
 @dataclass(frozen=True, eq=False)
 class SonarSensor:
     """A sensor of a scene's file that stands for a sonar.
+
+    Raises
+    ------
+    Error
+        if an attribute is not what it should be.
 
     Attributes
     ----------
@@ -32,6 +39,20 @@ class SonarSensor:
     sonar: Sonar | None = None
     rate_hz: float | None = None
     assumed: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        check_kind("the name of a sensor", self.name, str, "such as 'sonar', or ''")
+        check_kind("the model of a sensor", self.model, str, "such as 'rov', or ''")
+        object.__setattr__(self, "pose", check_pose(self.pose, "the pose of a sensor"))
+        check_kind(
+            "the sonar of a sensor",
+            self.sonar,
+            Sonar | None,
+            "sonar_gl.load_sonar makes one from a name or a file",
+        )
+        if self.rate_hz is not None:
+            check_number("rate_hz of a sensor", self.rate_hz)
+        check_kind("assumed of a sensor", self.assumed, tuple, "of names of fields")
 
     def __str__(self):
         return f"sensor {self.name!r}" + (f" of model {self.model!r}" if self.model else "")

@@ -17,6 +17,8 @@ from sonar_gl.core.toml import read_toml, toml_text
 from sonar_gl.sonar.counts import LAWS, Counts
 from sonar_gl.sonar.sonar import UNPARSED, Sonar
 
+# tables of a job that describe no device: what they are in Python
+OTHER_TABLES = {"noise": "Noise", "acoustics": "Acoustics", "water": "Water"}
 PRESETS = Path(__file__).with_name("sonars.toml")
 
 
@@ -177,6 +179,12 @@ def _read_tables(path: Path) -> dict[str, dict]:
     tables = {key: value for key, value in data.items() if isinstance(value, dict) and key != "counts"}
     if not data:
         raise Error(f"{path}: must contain one sonar (got an empty file; copy a table of {PRESETS})")
+    for key, value in tables.items():
+        if key in OTHER_TABLES and "frequency_hz" not in value:  # else a sonar of that name
+            raise Error(
+                f"{path}: must describe the device alone (got the table [{key}]; write it in the job of a batch, "
+                f"or give it as --{key} to commands and as sonar_gl.{OTHER_TABLES[key]} in Python)"
+            )
     for key, value in data.items():
         if isinstance(value, list) and any(isinstance(one, dict) for one in value):
             got = f"[[{key}]], a list of tables"

@@ -323,3 +323,16 @@ def test_range_of_a_plate(distance):
         for sign in (-1, 1)
     )
     assert after == before + 1
+
+
+def test_a_body_that_touches_the_last_range_returns_what_rounding_puts_before_it():
+    """A cap of depth d of a plane has the area 2 pi r d, so that its echo is proportional to d."""
+    sonar = sg.Sonar("last", 900e3, 32, 100, 40.0, 10.0, 1.0, 0.5, 30.0)
+    totals = {}
+    for depth_m in (0.0, 1e-4):
+        scene = sg.Scene([sg.Body("box", trimesh.creation.box(), sg.pose(30.5 - depth_m, 0.3, 0.1))])
+        with sg.Simulator(scene, sonar, sg.Acoustics.physical(), tolerance=TOLERANCE) as simulator:
+            totals[depth_m] = simulator.ping(np.eye(4)).intensity.sum(dtype=float)
+    steps_m = 2 * np.spacing(np.float32(30))  # of the vertices, and of the range
+    assert totals[1e-4] > 0  # which way the range is rounded depends on the processor
+    assert totals[0.0] <= totals[1e-4] * steps_m / 1e-4

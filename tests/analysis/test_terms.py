@@ -394,6 +394,14 @@ def test_mistakes():
             function(room(), SONAR, 0.7)
         with pytest.raises(Error, match="poses must hold at least one pose"):
             function(room(), SONAR, 0.1, [])
+        for poses in (3, np.array(3.0)):
+            with pytest.raises(Error, match="poses must be several poses"):
+                function(room(), SONAR, 0.1, poses)
+        for poses in ({0: np.eye(4)}, {1}, [np.zeros(3), np.eye(3)]):
+            with pytest.raises(Error, match=r"pose must have shape \(4, 4\) \(got"):
+                function(room(), SONAR, 0.1, poses)
+    with pytest.raises(Error, match="of a position and a quaternion, fill"):
+        sg.needed_acoustics(room(), SONAR, 0.1, ((0, 0, 0), (0, 0, 0, 1)))
     assert sg.needed_acoustics(without_sonar, SONAR, 0.1, room().sonar_pose).profile == "physical"
 
 

@@ -770,22 +770,53 @@ def test_warnings_of_pings_are_reported_a_tolerance_once_for_a_sonar(
     assert all(texts.count(text) == 4 for text in odd)
 
 
-@pytest.mark.parametrize("one_by_one", [False, True])
-def test_a_sonar_inside_a_body_is_reported_though_its_pings_have_no_echo(tmp_path, one_by_one):
-    path = write_job(tmp_path, 4, "")
-    path.write_text(path.read_text().replace("there = 0.8", "there = 1.0"))
+def write_enclosed_job(folder, more=""):
+    """Write a job whose sonars are inside a body all along their way, in two parts."""
+    path = write_job(folder, 8, "")
+    sector = path.read_text().index("[[poses]]"), path.read_text().index("[[vary.bodies]]")
+    way = '[[poses]]\nkind = "orbit"\ncentre_m = [0, 0, 0]\nradius_m = 2\nz_m = 0\nturns = 1\nn_pings = 8\n\n'
+    text = (path.read_text()[: sector[0]] + way + path.read_text()[sector[1] :]).replace(
+        "there = 0.8", "there = 1.0"
+    )
+    path.write_text(text.replace("tolerance = 0.05", f"tolerance = 0.05\n{more}"))
     world = BODY.format("box_1", "0 0 0", "200 200 200")
-    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{world}</world></sdf>')
-    batch, reports = open_batch(path, tmp_path / "out"), []
-    begin(batch).save(batch.folder)
-    create_store(batch)
-    record = make_part(batch, 0, one_by_one=one_by_one, report=lambda *report: reports.append(report))
+    (folder / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{world}</world></sdf>')
+    return path
+
+
+def warnings_of_parts(path, folder, parts, one_by_one=False):
+    """Return the warnings of one process that makes these parts."""
+    batch, reports = open_batch(path, folder), []
+    if not (folder / "batch.json").exists():
+        begin(batch).save(batch.folder)
+        create_store(batch)
+    for part in parts:
+        record = make_part(batch, part, one_by_one=one_by_one, report=lambda *report: reports.append(report))
+        assert record.without_echo == 4
     batch.close()
-    assert record.without_echo == 4
-    begins = [f"warning: {sonar} in tank.sdf: the sonar at (" for sonar in batch.requests.sonars]
-    texts = [value for kind, value in reports if kind == "warning"]
-    assert len(texts) == 2 and all(map(str.startswith, texts, begins))
-    assert all("is inside body 'box_1'" in text for text in texts)
+    return {value for kind, value in reports if kind == "warning"}
+
+
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_a_sonar_inside_a_body_is_reported_whatever_process_makes_its_pings(tmp_path, one_by_one):
+    path = write_enclosed_job(tmp_path)
+    requests = BatchRequests(read_job(path))
+    assert list(requests.warnings()) == list(requests.place_warnings())
+    for sonar, text in zip(requests.sonars, requests.place_warnings(), strict=True):
+        begins = f"warning: {sonar} in tank.sdf: ping 0: the sonar at (2, 0, 0) m is inside body 'box_1', or"
+        assert text.startswith(begins)
+    assert warnings_of_parts(path, tmp_path / "out", [1], one_by_one) == set()
+
+
+def test_a_sonar_in_the_air_is_reported_alike_by_all_processes(tmp_path):
+    path = write_enclosed_job(tmp_path, "surface_z_m = -1.0")
+    texts = {
+        f"warning: {sonar} in tank.sdf: the sonar is above the water's surface in some pings, on which it has no "
+        "effect"
+        for sonar in ("level", "upright")
+    }
+    for number, made in enumerate(([0], [1], [0, 1])):
+        assert warnings_of_parts(path, tmp_path / f"out_{number}", made) == texts
 
 
 def test_a_ping_that_fails_has_reported_its_warnings(small, tmp_path, monkeypatch):
@@ -1031,6 +1062,23 @@ def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
     )
     path.write_text(text[: text.index("[labels]")])
     assert "labels of" not in run("batch", path, "--dry-run", "--workers", "1")[1]
+
+
+@pytest.mark.parametrize(
+    ("part", "more", "line"),
+    [
+        (
+            4,
+            "[ros]\n",
+            "8 pings in 2 parts of 4, each a file of the bag (a larger pings_per_part makes fewer files)",
+        ),
+        (8, "[ros]\n", "8 pings in 1 part"),
+        (4, "", "8 pings in 2 parts of 4"),
+    ],
+)
+def test_a_dry_run_says_of_how_many_files_a_bag_is(tmp_path, part, more, line):
+    job = write_plain_job(tmp_path, 8, part, more)
+    assert line in run("batch", job, "--dry-run", "--workers", "1")[1].splitlines()
 
 
 def test_pings_that_fail_are_tried_again_and_then_set_aside(small, tmp_path, monkeypatch):

@@ -305,6 +305,10 @@ def test_numbers_of_pings_are_those_that_were_entered(varied):
         about = {name: one.attributes for name, one in variables.items()}
         flags = zip(about["status"]["flag_meanings"].split(), about["status"]["flag_values"], strict=True)
         assert dict(flags) == {"not_made": NOT_MADE, "made": MADE, "set_aside": SET_ASIDE}
+        assert about["error_estimate"]["long_name"] == (  # as the page on conventions says
+            "estimated share of the echo in wrong bins, or a fifth of the error of a body's own echo if that is more "
+            "and breaks the tolerance"
+        )
         assert data["status"].tolist() == [NOT_MADE, SET_ASIDE, *[MADE] * 20]
         for name in ("echo", "error_estimate"):
             np.testing.assert_array_equal(data[name], table.column(rows, (name, sonar))[:, 0])

@@ -53,16 +53,17 @@ def test_arrays_of_any_type_of_numbers(dtype):
         assert out.flags.c_contiguous and not out.flags.writeable and not np.shares_memory(out, given)
 
 
-def test_only_an_array_that_nobody_can_change_is_not_copied():
+def test_only_a_read_only_array_of_its_own_is_not_copied_where_it_may_be_shared():
     """Bodies that share normals are found by them."""
     mine = np.zeros((2, 3))
-    kept = frozen_array(mine, np.float64, (2, 3), "x")
+    kept = frozen_array(mine, np.float64, (2, 3), "x", shares=True)
     assert not np.shares_memory(kept, mine) and not kept.flags.writeable
-    assert frozen_array(kept, np.float64, (2, 3), "x") is kept
+    assert frozen_array(kept, np.float64, (2, 3), "x", shares=True) is kept
     view = mine[:]
     view.flags.writeable = False  # `mine` is not
     for other in (view, kept.T, kept.astype(np.float32)):
-        assert not np.shares_memory(frozen_array(other, np.float64, (None, None), "x"), other)
+        assert not np.shares_memory(frozen_array(other, np.float64, (None, None), "x", shares=True), other)
+    assert not np.shares_memory(frozen_array(kept, np.float64, (2, 3), "x"), kept)
     with pytest.raises(Error, match="finite"):
         mine[0, 0] = np.nan
         mine.flags.writeable = False

@@ -99,6 +99,11 @@ def test_angles_count_where_a_file_has_both(read):
             "sonar_gl.pose(*numbers))",
         ),
         (
+            [0, [[1], [2, 3]]],
+            "pose takes six numbers, x y z roll pitch yaw (got y = [[1], [2, 3]]; of an array of six numbers write "
+            "sonar_gl.pose(*numbers))",
+        ),
+        (
             [0, 0, 0, 0, 0, [0.5]],
             "pose takes six numbers, x y z roll pitch yaw (got yaw = [0.5]; of an array of six numbers write "
             "sonar_gl.pose(*numbers))",
@@ -226,6 +231,38 @@ def test_only_rotations_and_translations_are_poses():
     turned[3, 3] = 2.0
     with pytest.raises(Error, match=r"must have the last row 0 0 0 1 \(got \[0\.0, 0\.0, 0\.0, 2\.0\]\)"):
         check_pose(turned)
+
+
+@pytest.mark.parametrize(
+    ("given", "got"),
+    [
+        (((0, 0, 0), (0, 0, 0, 1)), "a tuple of parts of 3 and 4 numbers"),
+        ([np.zeros(3), np.array([0.0, 0, 0, 1])], "a list of parts of 3 and 4 numbers"),
+    ],
+)
+def test_a_position_and_a_quaternion_are_no_pose(given, got):
+    with pytest.raises(Error) as caught:
+        check_pose(given, "poses[2]")
+    assert str(caught.value) == (
+        f"poses[2] must have shape (4, 4) (got {got}; of a position and a quaternion, fill np.eye(4): [:3, :3] with "
+        "scipy.spatial.transform.Rotation.from_quat(xyzw).as_matrix(), and [:3, 3] with the position)"
+    )
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        *(((0, 0, 0), np.eye(3)), [[1, 2], [3], [4]], [np.eye(4), np.eye(3)], (1, (2, 3)), [[1, 2], {3}]),
+        *([np.eye(3), np.zeros(3)], [np.array(1.0), [2]]),
+    ],
+)
+def test_parts_of_several_shapes_are_no_pose(given):
+    with pytest.raises(Error) as caught:
+        check_pose(given)
+    assert str(caught.value) == (
+        f"pose must have shape (4, 4) (got a {type(given).__name__} of parts of several shapes; sonar_gl.pose makes "
+        "one from x y z roll pitch yaw)"
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -7,6 +7,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
+from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.sonar.sampling import sampling_at
 from tests.support.worlds import ROD_SONAR, rods_before_a_wall, wires_before_a_wall
 from tools import promise
@@ -72,3 +73,37 @@ def test_marginal_worlds_keep_the_promise(world, seed):
     counts = truth.body_echo[1:] > 1e-3 * truth.body_echo.sum()
     errors = np.abs(ping.body_echo[1:][counts] / truth.body_echo[1:][counts] - 1)
     assert errors.max() <= 5 * tolerance
+
+
+def too_many(*_):
+    raise SampleLimitError("samples must be fewer")
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.2])
+def test_the_truth_of_a_pool_is_the_finest_that_fits(monkeypatch, share):
+    ping, counts = promise.internals.ping_with_all_samples, []
+
+    def limited(simulator, pose):
+        counts.append(simulator.sampling.count(simulator.sonar))
+        return too_many() if counts[-1] > share * counts[0] else ping(simulator, pose)
+
+    monkeypatch.setattr(promise.internals, "ping_with_all_samples", limited)
+    outcomes = promise.try_pool(409)
+    assert [one.tolerance for one in outcomes] == [0.05, 0.01] and all(one.error < 0.05 for one in outcomes)
+    assert counts[-1] <= share * counts[0]
+    # each trial has half as many samples as the one before it, but for whole columns and rows
+    assert np.array(counts[1:]) * 2 == pytest.approx(np.array(counts[:-1]), rel=0.02)
+    assert all(count > share * counts[0] for count in counts[:-1])
+
+
+def test_a_pool_without_a_truth_is_left_out_and_counted(monkeypatch, capsys):
+    monkeypatch.setattr(promise.internals, "ping_with_all_samples", too_many)
+    assert promise.try_pool(409) is None
+    monkeypatch.undo()
+    of_next = promise.try_pool(410)
+    monkeypatch.setattr(promise, "try_pool", lambda seed: None if seed == 409 else of_next)
+    monkeypatch.setattr("sys.argv", ["promise", "--pools", "1", "--first", "409"])
+    promise.main()
+    shown = capsys.readouterr().out
+    assert shown.startswith("seeds 409 to 410, on ")
+    assert "left out, as no truth fits that is finer than what it judges: 1, seeds [409]\n" in shown

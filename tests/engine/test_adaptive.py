@@ -1317,10 +1317,11 @@ class TestPlan:
         assert str(caught.value) == message
 
 
+@pytest.mark.parametrize("sampling", [None, sg.Sampling(1, 20)])  # with samples, too: multipath keeps it
 @pytest.mark.parametrize("tolerance", [0.0, 0.9, float("nan"), "fine", None, True])
-def test_invalid_tolerances_raise_errors(tolerance):
+def test_invalid_tolerances_raise_errors(tolerance, sampling):
     with pytest.raises(sg.Error) as caught:
-        sg.Simulator(sg.Scene([]), SONAR, tolerance=tolerance)
+        sg.Simulator(sg.Scene([]), SONAR, sampling=sampling, tolerance=tolerance)
     assert str(caught.value) == (
         f"tolerance must be a number in 0.001..0.5 (got {tolerance!r}; 0.01 is one per cent)"
     )

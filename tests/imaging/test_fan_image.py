@@ -473,6 +473,11 @@ def test_colours():
             "colorize needs an image of shape (H, W), float 0..1 (got (2, 2, 3), float64)",
         ),
         (
+            [[0.5], [0.5, 1.0]],
+            "jet",
+            "the image of colorize must be an array (got a list of parts of 1 and 2 numbers)",
+        ),
+        (
             np.zeros((0, 5)),  # by cv2, without a check, a floating point exception that ends the process
             "jet",
             "colorize needs an image of shape (H, W), float 0..1 (got (0, 5), float64)",

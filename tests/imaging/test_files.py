@@ -78,6 +78,7 @@ def test_png_of_floats(tmp_path):
 @pytest.mark.parametrize(
     ("picture", "expected"),
     [
+        ([[0], [0, 1]], "a PNG must be an array (got a list of parts of 1 and 2 numbers)"),
         (np.zeros((2, 2), int), "a PNG must be uint8, or float 0..1 (got int64)"),
         (np.zeros((2, 2, 3), np.uint16), "a PNG must be uint8, or float 0..1 (got uint16)"),
         (np.zeros((2, 2, 4), np.uint8), "a PNG must have shape (H, W) or (H, W, 3) RGB (got (2, 2, 4))"),

@@ -356,6 +356,20 @@ def test_the_pattern_is_that_of_the_wavelength_in_the_water():
     assert correlation(patterns(PLACE_LOCKED, higher), patterns(PLACE_LOCKED, ping)) < 0.5
 
 
+@pytest.mark.parametrize("n_waves", [318, 319])
+def test_it_adds_to_the_receivers_noise_alike_over_the_seam_of_a_full_circle(n_waves):
+    """The two are added as fields, so that the sign of neither may change there."""
+    width_deg = np.degrees(UNIFORM_WIDTH * 2 * np.pi / n_waves)
+    ping = even_ping(720, 1500, 0.5, pose=pose(0.2, 0.2, yaw=0.4), beam_width_deg=width_deg)
+    (found,) = patterns(replace(PLACE_LOCKED, ambient_db=0.0), ping)
+    of_neighbours = [
+        correlation(one, next_one) for one, next_one in zip(found, np.roll(found, -1, axis=0), strict=True)
+    ]
+    expected = np.mean(of_neighbours)
+    # of 1500 bins that are independent
+    assert of_neighbours[-1] == pytest.approx(expected, abs=SIGMAS / np.sqrt(1500))
+
+
 def test_each_cell_of_the_sea_has_a_pattern_of_its_own():
     """At one place within it, of cells half a metre apart along either axis."""
     places = ((0, 0), (1, 0), (0, 1), (1, 1), (-1, 0), (0, -1))

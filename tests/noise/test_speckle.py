@@ -143,6 +143,21 @@ def test_correlation_of_all_pairs_of_beams(fov_deg):
     assert np.abs(found**2 - expected**2).max() < 1e-3  # of the intensity's variance, all pairs
 
 
+@pytest.mark.parametrize("series", [(), HAMMING_SERIES])
+@pytest.mark.parametrize("n_waves", [317, 318])
+def test_fields_go_on_over_the_seam_of_a_full_circle(n_waves, series):
+    """With their signs: other fields are added to them before the square is taken."""
+    azimuth, width_rad = fan(360.0, 1440), aperture_width(series) * 2 * np.pi / n_waves
+    matrix = beam_matrix(azimuth, width_rad, series)
+    found = np.einsum(
+        "ij,ij->i", matrix, np.roll(matrix, -1, axis=0)
+    )  # of each beam and the next one, all around
+    x = np.radians(0.25) / (2 * np.pi) * n_waves
+    expected = hamming_correlation(x) if series else np.sinc(x)
+    # a sum of M waves in place of the integral errs by (π t/M)²/6 of it, and the Kaiser window by 1e-4
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-4)
+
+
 @pytest.mark.parametrize(
     ("width_deg", "azimuth_deg"), [(50.0, (-15.0, 15.0)), (60.0, (-50.0, -20.0, 0.0, 10.0, 50.0))]
 )

@@ -490,3 +490,19 @@ def test_an_infinite_plane_is_the_same_ten_kilometres_away(engine):
         near, far = (simulator.ping(sg.pose(x, -x, 2.0, 0.0, 0.3, 0.2)).intensity for x in (300.0, 9_900.0))
     assert near.any()
     assert np.abs(far - near).sum() < (1e-5 if engine == "cpu" else 5e-5) * near.sum()
+
+
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("names", ["abc", "bca", "cba"])
+def test_of_bodies_whose_faces_coincide_the_first_one_is_seen(engine, names):
+    mesh = trimesh.creation.box((1, 8, 8))
+    mus = {"a": 0.1, "b": 0.5, "c": 0.9}
+    scene = sg.Scene([sg.Body(name, mesh, sg.pose(5.5), mus[name]) for name in names])
+    alone = sg.Scene([sg.Body("wall", mesh, sg.pose(5.5), mus[names[0]])])
+    found, expected = (
+        draw_sectors(one, SONAR, sg.pose(0, 0, 0, 0.01, 0.02, 0.05), engine) for one in (scene, alone)
+    )
+    for (_, planes, bodies), (_, planes_alone, bodies_alone) in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(planes, planes_alone)
+        np.testing.assert_array_equal(bodies, bodies_alone)
+        assert (bodies <= 1).all() and (bodies == 1).any()

@@ -129,7 +129,16 @@ def test_invalid_paths(two_scenes):
         error_message(str(two_scenes))
         == f"{two_scenes}: a folder must be that of a model (it has neither model.config nor model.sdf)"
     )
-    for address in ("https://fuel.gazebosim.org/1.0/a/models/Boat", "model://boat", "file:///models/a.sdf"):
+    for address in (
+        "https://fuel.gazebosim.org/1.0/a/models/Boat",
+        "model://boat",
+        "file:///models/a.sdf",
+        "HTTPS://FUEL.GAZEBOSIM.ORG/1.0/a/models/Boat",
+        "Http://example.org/a.sdf",
+        "FUEL://boat",
+        "git+ssh://example.org/a.glb",
+        "s3://bucket/a.sdf",
+    ):
         assert error_message(address) == (
             f"a scene must be a bundled name or a path (got the address {address!r}; give the path of its file or "
             "folder on this machine)"
@@ -704,3 +713,11 @@ def test_a_scene_is_not_changed(name):
     assert vars(scene) == before
     for again in (copy.copy(scene), copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
         assert (again.name, again.surface_z_m, again.bodies[0].name) == ("scene", 0.0, "wall")
+
+
+@pytest.mark.parametrize("skip", ["no", 1, None, np.array([True])])
+def test_whether_to_skip_what_is_missing_is_true_or_false(skip):
+    """A text such as "no" would be taken for True."""
+    with pytest.raises(Error) as caught:
+        load_scene("pylon", skip_missing=skip)
+    assert str(caught.value) == f"skip_missing must be True or False (got {skip!r})"

@@ -1,5 +1,7 @@
 """Scenes made from scenes, parts of models, and meshes that are refused."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import trimesh
@@ -45,3 +47,42 @@ def test_faces_name_vertices(wrong):
     mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, wrong]], process=False, validate=False)
     with pytest.raises(sg.Error, match=rf"faces must name vertices 0\.\.2 \(got {wrong}\)"):
         sg.Body("a", mesh)
+
+
+def test_a_read_only_pose_is_copied_and_read_only_normals_are_shared():
+    """The owner may make either writeable again; only of large arrays a copy costs more than that is worth."""
+    mesh = trimesh.creation.box((1, 1, 1))
+    mine, normals = sg.pose(1, 2, 3), np.full((8, 3), 3**-0.5, np.float32)
+    for one in (mine, normals):
+        one.setflags(write=False)
+    body = sg.Body("box", mesh, mine, normals=normals)
+    for one in (mine, normals):
+        one.setflags(write=True)
+    mine[0, 3] = 9.0
+    assert body.pose[0, 3] == 1.0 and body.normals is normals
+
+
+@pytest.mark.parametrize(
+    ("reflectivity", "got"),
+    [
+        (
+            [[0.5], [0.5, 0.5]],
+            "must have shape (12) (got a list of parts of 1 and 2 numbers; give one number, or ",
+        ),
+        (True, "must be a number, or an array of one for each face (got True)"),
+        (np.True_, "must be a number, or an array of one for each face (got np.True_)"),
+    ],
+)
+def test_a_reflectivity_that_is_no_number_is_refused(reflectivity, got):
+    with pytest.raises(sg.Error) as caught:
+        sg.Body("box", trimesh.creation.box(), reflectivity=reflectivity)
+    assert str(caught.value).startswith(f"body 'box': reflectivity {got}")
+
+
+@pytest.mark.parametrize("faces", [[[0, 1, 2], [0, 1]], [], [[0, 1, 2]]])
+def test_faces_that_are_no_array_are_refused(faces):
+    mesh = SimpleNamespace(vertices=np.eye(3), faces=faces)
+    with pytest.raises(
+        sg.Error, match=r"^body 'odd': mesh faces must be an array of whole numbers .* \(got list; "
+    ):
+        sg.Body("odd", mesh)

@@ -948,7 +948,16 @@ def add_fuel_model(folder, size):
 
 @pytest.mark.parametrize(
     ("uri", "size"),
-    [(FUEL, 12), (f"{FUEL}/2", 2), (f"{FUEL}/tip", 12), (FUEL.replace(" ", "%20"), 12), (f"{FUEL}/7", 12)],
+    [
+        *(
+            (FUEL, 12),
+            (f"{FUEL}/2", 2),
+            (f"{FUEL}/tip", 12),
+            (FUEL.replace(" ", "%20"), 12),
+            (f"{FUEL}/7", 12),
+        ),
+        (FUEL.replace("https", "HTTPS"), 12),
+    ],
 )
 @pytest.mark.parametrize("cache", ["gz", "ign"])
 def test_models_of_fuel_are_read_from_gazebos_cache(tmp_path, read, uri, size, cache):

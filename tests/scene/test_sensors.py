@@ -290,3 +290,28 @@ def test_bundled_scenes_state_no_sonar():
     for name in sg.bundled_scenes():
         scene = sg.load_scene(name)
         assert scene.sonar is None and len(scene.sensors) == 1, name
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("name", 3, "the name of a sensor must be a str (got int; such as 'sonar', or '')"),
+        ("model", None, "the model of a sensor must be a str (got NoneType; such as 'rov', or '')"),
+        (
+            "pose",
+            None,
+            "the pose of a sensor must have shape (4, 4) (got (); sonar_gl.pose makes one from x y z roll ",
+        ),
+        (
+            "sonar",
+            "p900-45",
+            "the sonar of a sensor must be a Sonar (got str; sonar_gl.load_sonar makes one from a ",
+        ),
+        ("rate_hz", "10", "rate_hz of a sensor must be a number (got '10')"),
+        ("assumed", "n_beams", "assumed of a sensor must be a tuple (got str; of names of fields)"),
+    ],
+)
+def test_a_sensor_made_of_what_it_is_not_is_refused(field, value, message):
+    with pytest.raises(sg.Error) as caught:
+        sg.SonarSensor(**{"name": "sonar", "model": "rov", "pose": np.eye(4)} | {field: value})
+    assert str(caught.value).startswith(message)

@@ -295,6 +295,15 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
     assert error_of(load_sonar, path) == (
         f"{path}: must contain either a sonar's keys or tables, not both (got key 'frequency_hz' and table 'a')"
     )
+    for table, name in (("noise", "Noise"), ("acoustics", "Acoustics"), ("water", "Water")):
+        for text in (f"{TEXT}[{table}]\nx = 1\n", f"[mine]\n{TEXT}[{table}]\nx = 1\n"):
+            path.write_text(text)
+            assert error_of(load_sonar, path) == (
+                f"{path}: must describe the device alone (got the table [{table}]; write it in the job of a batch, "
+                f"or give it as --{table} to commands and as sonar_gl.{name} in Python)"
+            )
+    path.write_text(f"[noise]\n{TEXT}")  # a sonar of this name
+    assert load_sonar(path).name == "noise"
     path.write_text(f"[[sonars]]\n{TEXT}")  # as in a job
     assert error_of(load_sonar, path) == (
         f"{path}: must contain a sonar's keys or its table, [sonars] (got [[sonars]], a list of tables)"

@@ -213,6 +213,7 @@ class Resources:
             if it leads out of the resource paths and the scene's folder, after symbolic links are resolved.
         """
         scheme, _, rest = uri.rpartition("://")
+        scheme = scheme.lower()  # by RFC 3986, capitals mean the same
         if not rest.strip("/."):
             raise Error(f"{location}: must name a file or a model (got {uri!r})")
         if scheme in ("http", "https"):
