@@ -675,13 +675,13 @@ def _is_faint(cos_over_depth, over_depth2, slope):
     return square * (1.0 - 2.0 * FAINTEST * slope * slope) < NEARLY * over_depth2
 
 
-@compiled
+@uncounted
 def _write_lobes(q, triangle, planes, lobe, row, left, image):
     """Write a row of samples that return their specular lobes alone into an image.
 
     q, triangle : (W,) row of a VisibilityBuffer
     planes : of Triangles
-    lobe : (W,) specular lobe times range of each sample that met something
+    lobe : specular lobe times range of each sample that met something
     row, left : where the row begins in the image
     image : plane_echo and face_id of `SectorSamples`
     """
@@ -695,8 +695,47 @@ def _write_lobes(q, triangle, planes, lobe, row, left, image):
         face_id[row, at] = SINGLE - np.int64(row) if is_hit and echo > zero else NOTHING
 
 
-@compiled
-def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone):
+@inlined
+def _shaded_echo(normal_forms, t, x, y, u, v, q, slope_u, slope_v, flat):
+    """Return cos θ times range of a sample by its shading normal, which faces the side that is seen.
+
+    t : row of `normal_forms`; x, y : column and row of the sample
+    flat : the same of the face, where there is no normal
+    """
+    nx = normal_forms[t, 0] + normal_forms[t, 1] * x + normal_forms[t, 2] * y
+    ny = normal_forms[t, 3] + normal_forms[t, 4] * x + normal_forms[t, 5] * y
+    nz = normal_forms[t, 6] + normal_forms[t, 7] * x + normal_forms[t, 8] * y
+    squares = nx * nx + ny * ny + nz * nz
+    if not squares > 0.0:  # or NaN; float64 holds the squares of all float32
+        return flat
+    along_plane = nx * (q - slope_u * u - slope_v * v) - ny * slope_u + nz * slope_v
+    along_ray = nx - ny * u + nz * v
+    turned = along_ray if along_plane > 0.0 else -along_ray
+    return max(turned, 0.0) / (math.sqrt(squares) * q)
+
+
+@inlined
+def _lobe_of(echo, u, v, q, strength, slope):
+    """Return the specular lobe times range of a sample, from cos θ times range."""
+    over_depth2 = 1.0 + u * u + v * v  # square of range over depth
+    if not strength > np.float32(0.0) or _is_faint(echo * q, over_depth2, slope):
+        return 0.0
+    return lobe_times_range(echo, math.sqrt(over_depth2) / q, strength, slope)
+
+
+@inlined
+def _write_bodies(buffer, bodies, left, body_id):
+    """Write the number of the body of each sample into an image, from column `left` on."""
+    depth, triangle = buffer
+    for j in range(uint64(depth.shape[0])):
+        for i in range(uint64(depth.shape[1])):
+            is_hit = depth[j, i] > np.float32(0.0)
+            number = bodies[uint64(triangle[j, i]), 0] + 1 if is_hit else 0
+            body_id[j, uint64(left) + i] = number
+
+
+@uncounted
+def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone, lobes):
     """Write a visibility buffer into an image of samples, as shaders/gbuffer.frag does.
 
     Parameters
@@ -708,6 +747,7 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
         no length if it is not wanted
     lobes_alone : plane_echo and face_id of an image of the same view in which bodies return their specular lobes alone;
         of no length if it is not wanted
+    lobes : at least as long as the window is wide; overwritten
     """
     (body_rows, has_lobes), (plane_echo, body_id, face_id) = bodies_seen, image
     depth, triangle = buffer
@@ -715,10 +755,9 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
     lattice_u, lattice_v = view[5], view[6]
     u0, v0, i0, j0 = lattice_u[0], lattice_v[0], window[0], window[2]
     zero, with_lobes = np.float32(0.0), lobes_alone[1].shape[0] > 0
-    lobes = np.zeros(depth.shape[1] if with_lobes else 0)
     for j in range(uint64(depth.shape[0])):
-        for i in range(uint64(lobes.shape[0])):
-            lobes[i] = 0.0
+        if with_lobes:
+            lobes[:] = 0.0
         for i in range(uint64(depth.shape[1])):
             q, t, at = depth[j, i], uint64(triangle[j, i]), uint64(left) + i
             if q <= zero:
@@ -731,44 +770,30 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
             plane_echo[j, at, 1] = planes[t, 0]
             plane_echo[j, at, 2] = planes[t, 1]
             echo = np.float64(planes[t, 2])
-            if bodies[t, 1] != EVEN:
+            if bodies[t, 1] == EVEN:
+                plane_echo[j, at, 3] = planes[t, 3] * echo
+            else:
                 x, y = np.float64(np.int64(i) + i0), np.float64(np.int64(j) + j0)
                 u = u0 + lattice_u[1] * x + lattice_u[2] * y
                 v = v0 + lattice_v[1] * x + lattice_v[2] * y
                 if bodies[t, 1] >= 0:
-                    # entry by entry: a row of the table would be an array with a reference to count
-                    nx = normal_forms[t, 0] + normal_forms[t, 1] * x + normal_forms[t, 2] * y
-                    ny = normal_forms[t, 3] + normal_forms[t, 4] * x + normal_forms[t, 5] * y
-                    nz = normal_forms[t, 6] + normal_forms[t, 7] * x + normal_forms[t, 8] * y
-                    squares, slope_u, slope_v = nx * nx + ny * ny + nz * nz, planes[t, 0], planes[t, 1]
-                    if squares > 0.0:  # not NaN either; float64 holds the squares of all float32
-                        along_plane = nx * (q - slope_u * u - slope_v * v) - ny * slope_u + nz * slope_v
-                        along_ray = nx - ny * u + nz * v
-                        turned = along_ray if along_plane > 0.0 else -along_ray
-                        echo = max(turned, 0.0) / (math.sqrt(squares) * q)
+                    echo = _shaded_echo(normal_forms, t, x, y, u, v, q, planes[t, 0], planes[t, 1], echo)
                 plane_echo[j, at, 3] = planes[t, 3] * echo
-                lobe, slope = body_rows[bodies[t, 0], 14], body_rows[bodies[t, 0], 15]
-                over_depth2 = 1.0 + u * u + v * v  # square of range over depth
-                if has_lobes and lobe > zero and not _is_faint(echo * q, over_depth2, slope):
-                    of_lobe = lobe_times_range(echo, math.sqrt(over_depth2) / q, lobe, slope)
+                strength, slope = body_rows[bodies[t, 0], 14], body_rows[bodies[t, 0], 15]
+                of_lobe = _lobe_of(echo, u, v, q, strength, slope) if has_lobes else 0.0
+                if of_lobe > 0.0:
                     plane_echo[j, at, 3] += of_lobe
                     if with_lobes:
                         lobes[i] = of_lobe
                     if of_lobe > FAINT_LOBE * plane_echo[j, at, 3]:
                         face_id[j, at] = SINGLE - np.int64(j)
-            else:
-                plane_echo[j, at, 3] = planes[t, 3] * echo
             # what returns nothing is joined whatever its face, as most of a view of lobes alone
             if plane_echo[j, at, 3] == zero:
                 face_id[j, at] = NOTHING
         if with_lobes:
             _write_lobes(depth[j], triangle[j], planes, lobes, j, left, lobes_alone)
     if body_id.shape[0]:
-        for j in range(uint64(depth.shape[0])):
-            for i in range(uint64(depth.shape[1])):
-                is_hit = depth[j, i] > zero
-                number = bodies[uint64(triangle[j, i]), 0] + 1 if is_hit else 0
-                body_id[j, uint64(left) + i] = number
+        _write_bodies(buffer, bodies, left, body_id)
 
 
 @compiled
@@ -802,6 +827,7 @@ def draw_windows(
     is_met : (S,) bool, overwritten: whether any sample of the sector may meet something
     """
     (depth, triangle, triangles), left, room = memory, 0, _make_room()
+    lobes = np.empty(image[0].shape[1])
     for s in range(found.shape[0]):
         i, j, columns, rows = found[s, 2], found[s, 3], found[s, 4], found[s, 5]
         first, last = part[0] * columns // part[1], (part[0] + 1) * columns // part[1]
@@ -824,5 +850,5 @@ def draw_windows(
                 room,
             )
             is_met[s] = n > 0
-            shade(buffer, triangles, view, extent, bodies_seen, left + first, image, lobes_alone)
+            shade(buffer, triangles, view, extent, bodies_seen, left + first, image, lobes_alone, lobes)
         left += columns
