@@ -877,14 +877,14 @@ MUTATIONS = (
     ),
     Mutation(
         "triangles/back faces",
-        "turned and area < 0.0",
-        "turned and area > 0.0",
+        "patch.is_one_sided and area < 0.0",
+        "patch.is_one_sided and area > 0.0",
         TRIANGLES,
     ),
     Mutation(
         "triangles/near plane",
-        "1.0 / near_m - form[0], -form[1], -form[2]",
-        "form[0] - 1.0 / near_m, form[1], form[2]",
+        "1.0 / patch.near_m - form[0], -form[1], -form[2]",
+        "form[0] - 1.0 / patch.near_m, form[1], form[2]",
         TRIANGLES,
     ),
     Mutation(
@@ -907,8 +907,8 @@ MUTATIONS = (
     ),
     Mutation(
         "triangles/no normals for faces",
-        "if smooth and _has_normals(normals, start, f, faces):",
-        "if smooth and normals[f, 0] > 2.0:",
+        "if normal_forms.shape[0] > 0 and _has_normals(normals, start, f, faces):",
+        "if normal_forms.shape[0] > 0 and normals[f, 0] > 2.0:",
         TRIANGLES,
     ),
     Mutation(

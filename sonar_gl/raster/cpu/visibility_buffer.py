@@ -681,7 +681,7 @@ def _write_lobes(q, triangle, planes, lobe, row, left, image):
 
     q, triangle : (W,) row of a VisibilityBuffer
     planes : of Triangles
-    lobe : specular lobe times range of each sample that met something
+    lobe : (W,) specular lobe times range of each sample that met something
     row, left : where the row begins in the image
     image : plane_echo and face_id of `SectorSamples`
     """
@@ -747,7 +747,7 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
         no length if it is not wanted
     lobes_alone : plane_echo and face_id of an image of the same view in which bodies return their specular lobes alone;
         of no length if it is not wanted
-    lobes : at least as long as the window is wide; overwritten
+    lobes : (W,) float64, as many as the window has columns; overwritten
     """
     (body_rows, has_lobes), (plane_echo, body_id, face_id) = bodies_seen, image
     depth, triangle = buffer
@@ -850,5 +850,15 @@ def draw_windows(
                 room,
             )
             is_met[s] = n > 0
-            shade(buffer, triangles, view, extent, bodies_seen, left + first, image, lobes_alone, lobes)
+            shade(
+                buffer,
+                triangles,
+                view,
+                extent,
+                bodies_seen,
+                left + first,
+                image,
+                lobes_alone,
+                lobes[: last - first],
+            )
         left += columns
