@@ -69,10 +69,8 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_b
         return
     width, with_background = tiles.weights.shape[1], strongest.background.shape[0] > 0
     origin, end = tiles.first[t0:t1].min(), tiles.first[t0:t1].max() + width
-    pasts = tiles.first + width  # past the last column that a beam of the tile receives
-    for t in range(t0, t1):
-        while pasts[t] > tiles.first[t] and not tiles.weights[t, pasts[t] - tiles.first[t] - 1].any():
-            pasts[t] -= 1
+    pasts = tiles.first + width
+    _leave_out_unreceived(tiles, t0, t1, pasts)
     panel = _make_panel(runs, n_columns, origin, end, K)
     rows, best = np.empty(TILE_BEAMS * TILE_ROW, np.float32), np.empty(TILE_BEAMS * TILE_ROW, np.float32)
     total, w = np.empty(TILE_BEAMS * TILE_BINS, np.float32), np.empty(4 * TILE_BEAMS, np.float32)
@@ -86,19 +84,13 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_b
             if with_background:
                 strongest.background[b0:b1, k0 : k0 + n_bins] = 0.0
             for m in range(runs.bodies.shape[0]):
-                if panel.begins[m] == panel.begins[m + 1]:
-                    continue
-                body, columns = runs.bodies[m], panel.column[panel.begins[m] : panel.begins[m + 1]]
-                first = panel.begins[m] + np.searchsorted(columns, start)
-                past = panel.begins[m] + np.searchsorted(columns, pasts[t])
+                first, past = _runs_in_columns(panel, m, start, pasts[t])
                 if first == past:
                     continue
-                mine = best if is_first else rows
+                body, mine = runs.bodies[m], best if is_first else rows
                 _weigh_runs(panel, first, past, start, tiles.weights[t], w, mine)
                 if is_background[body]:
-                    for b in range(b0, b1):
-                        for k in range(n_bins):
-                            strongest.background[b, k0 + k] += mine[(b - b0) * TILE_ROW + k]
+                    _add_background(mine, b0, b1, k0, n_bins, strongest.background)
                 if body_bins.shape[0] > 0:
                     _clear_outside(mine, body_bins, body, k0)
                 if is_first:
@@ -112,6 +104,32 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_b
                 _write_strongest(
                     best, total, body_id, b - b0, middle_m, b, k0, n_bins, direct, gain, strongest
                 )
+
+
+@inlined
+def _leave_out_unreceived(tiles, t0, t1, pasts):
+    """Lower `pasts` of some tiles to the column past the last one that a beam of the tile receives."""
+    for t in range(t0, t1):
+        while pasts[t] > tiles.first[t] and not tiles.weights[t, pasts[t] - tiles.first[t] - 1].any():
+            pasts[t] -= 1
+
+
+@inlined
+def _runs_in_columns(panel, m, start, past):
+    """Return the first of the runs of body m in columns `start` to before `past`, and the one past their last."""
+    begin, end = panel.begins[m], panel.begins[m + 1]
+    if begin == end:
+        return begin, end
+    columns = panel.column[begin:end]
+    return begin + np.searchsorted(columns, start), begin + np.searchsorted(columns, past)
+
+
+@inlined
+def _add_background(rows, b0, b1, k0, n_bins, background):
+    """Add the echo of a body in a tile's beams b0 to before b1 to that of the background; `rows` as of `_compare`."""
+    for b in range(b0, b1):
+        for k in range(n_bins):
+            background[b, k0 + k] += rows[(b - b0) * TILE_ROW + k]
 
 
 @inlined
