@@ -1636,7 +1636,7 @@ MUTATIONS = (
     Mutation("boxes/whole numbers", 'body_id.dtype.kind not in "iu" or', "", BOXES),
     Mutation("boxes/faint ends", "LEFT_OUT_OF = 200", "LEFT_OUT_OF = 100", BOXES),
     Mutation("boxes/without noise", "quiet = ping if quiet is None else quiet", "quiet = ping", BOXES),
-    Mutation("boxes/across the seam", "begin %= n", "begin = 0", BOXES),
+    Mutation("boxes/across the seam", "gap, (i + 1) % n", "gap, 0", BOXES),
     Mutation("boxes/shape of labels", "or body_id.shape != ping.intensity.shape:", ":", BOXES),
     # other formats of scenes
     Mutation(
