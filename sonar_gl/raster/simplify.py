@@ -282,9 +282,8 @@ def _simplify(points, faces, locked, target, left):
             break
         n_needed = (n_faces - target + 1) // 2
         limit = nth_smallest(costs[:count].copy(), min(n_needed, count - 1)) * PASS_SLACK + 1e-30
-        n_cheap = _keep_cheap(
-            pairs, costs, count, limit
-        )  # only these are sorted, since the pass ends at the limit
+        # only these are sorted, since the pass ends at the limit
+        n_cheap = _keep_cheap(pairs, costs, count, limit)
         done, most = _collapse(pairs, costs[:n_cheap], n_needed, points, left[:n_faces], quadrics, remap)
         if done == 0:
             break
