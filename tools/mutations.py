@@ -892,14 +892,14 @@ MUTATIONS = (
     ),
     Mutation(
         "triangles/back faces",
-        "turned and area < 0.0",
-        "turned and area > 0.0",
+        "patch.is_one_sided and area < 0.0",
+        "patch.is_one_sided and area > 0.0",
         TRIANGLES,
     ),
     Mutation(
         "triangles/near plane",
-        "1.0 / near_m - form[0], -form[1], -form[2]",
-        "form[0] - 1.0 / near_m, form[1], form[2]",
+        "1.0 / patch.near_m - form[0], -form[1], -form[2]",
+        "form[0] - 1.0 / patch.near_m, form[1], form[2]",
         TRIANGLES,
     ),
     Mutation(
@@ -922,8 +922,8 @@ MUTATIONS = (
     ),
     Mutation(
         "triangles/no normals for faces",
-        "if smooth and _has_normals(normals, start, f, faces):",
-        "if smooth and normals[f, 0] > 2.0:",
+        "if normal_forms.shape[0] > 0 and _has_normals(normals, start, f, faces):",
+        "if normal_forms.shape[0] > 0 and normals[f, 0] > 2.0:",
         TRIANGLES,
     ),
     Mutation(
@@ -1657,7 +1657,7 @@ MUTATIONS = (
     Mutation("boxes/whole numbers", 'body_id.dtype.kind not in "iu" or', "", BOXES),
     Mutation("boxes/faint ends", "LEFT_OUT_OF = 200", "LEFT_OUT_OF = 100", BOXES),
     Mutation("boxes/without noise", "quiet = ping if quiet is None else quiet", "quiet = ping", BOXES),
-    Mutation("boxes/across the seam", "begin %= n", "begin = 0", BOXES),
+    Mutation("boxes/across the seam", "gap, (i + 1) % n", "gap, 0", BOXES),
     Mutation("boxes/shape of labels", "or body_id.shape != ping.intensity.shape:", ":", BOXES),
     # other formats of scenes
     Mutation(

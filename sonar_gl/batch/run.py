@@ -149,15 +149,7 @@ def run(
         missing = [part for part in range(manifest.n_parts) if part not in finished]
         if missing:
             with progress(manifest.n_pings, outcome.n_done) as advance:
-
-                def done(record):
-                    outcome.add(record)
-                    advance(record.pings)
-
-                if remote is not None:
-                    missing = remote.run_parts(missing, done, report)
-                with _stop_on_signals(pool, report):
-                    pool.run_parts(missing, manifest.numbers, done, one_by_one=remote is not None)
+                _make_parts(missing, manifest.numbers, pool, remote, report, outcome, advance)
         if outcome.is_complete:
             pool.call("finalize")
     return outcome
@@ -226,6 +218,33 @@ def _finished_batches(folder: Folder) -> set[str]:
         with suppress(DamagedRecordError):
             found.add(PartRecord.load(folder, part).batch)
     return found
+
+
+def _make_parts(
+    parts: list[int],
+    numbers: Callable,
+    pool: Pool,
+    remote: Cluster | None,
+    report: Callable[[str], None],
+    outcome: Outcome,
+    advance: Callable[[int], None],
+) -> None:
+    """Make parts and add them to the outcome: by a cluster, if there is one, and what it leaves by processes.
+
+    Parameters
+    ----------
+    numbers : of the pings of a part, see `Manifest.numbers`
+    advance : function (further pings)
+    """
+
+    def done(record):
+        outcome.add(record)
+        advance(record.pings)
+
+    if remote is not None:
+        parts = remote.run_parts(parts, done, report)
+    with _stop_on_signals(pool, report):
+        pool.run_parts(parts, numbers, done, one_by_one=remote is not None)
 
 
 @contextmanager

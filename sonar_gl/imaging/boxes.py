@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numba import uint64
 
-from sonar_gl.core.compiled import compiled
+from sonar_gl.core.compiled import compiled, inlined
 from sonar_gl.core.errors import Error
 from sonar_gl.imaging.fan_image import FanGeometry, azimuth_key, fan_geometry, nearest_cells
 from sonar_gl.ping import Ping
@@ -276,6 +276,35 @@ def _add_brightness(runs, echoes, table, areas, starts, profiles):
         profiles[start + b - areas[body, 0]] += total
 
 
+@inlined
+def _first_after_gap(profile, n):
+    """Return the first beam after the widest gap in a full circle's profile of n beams; -1 without a gap."""
+    begin, widest, gap = -1, 0, 0
+    for i in range(2 * n):
+        gap = gap + 1 if profile[i % n] == 0 else 0
+        if gap > widest:
+            widest, begin = gap, (i + 1) % n
+    return begin
+
+
+@inlined
+def _bright_part(profile, n, begin, total):
+    """Return the first and the last place, counted from `begin` on, between the faint ends of a profile.
+
+    profile : of which n entries count, as a circle
+    total : of these
+    """
+    low, left = 0, profile[begin]
+    while left * LEFT_OUT_OF <= total:
+        low += 1
+        left += profile[(begin + low) % n]
+    high, left = n - 1, profile[(begin + n - 1) % n]
+    while left * LEFT_OUT_OF <= total:
+        high -= 1
+        left += profile[(begin + high) % n]
+    return low, high
+
+
 @compiled
 def _leave_out_faint_ends(profiles, starts, full_circle, areas):
     """Shorten the areas of bodies at each end by beams, or bins, that hold next to nothing of their brightness.
@@ -283,52 +312,22 @@ def _leave_out_faint_ends(profiles, starts, full_circle, areas):
     On a full circle the ends are those of the widest gap; without a gap there are none.
     """
     for body in range(areas.shape[0]):
-        n = areas[body, 1]
-        if n == 0:
+        n_beams, n_bins = areas[body, 1], areas[body, 3] - areas[body, 2] + 1
+        if n_beams == 0:
             continue
-        at, n_bins = starts[body], areas[body, 3] - areas[body, 2] + 1
-        total = 0
-        for i in range(n):
-            total += profiles[at + i]
-        begin = 0  # the first beam after the gap
-        if full_circle and total > 0:
-            widest, gap = 0, 0
-            for i in range(2 * n):
-                if profiles[at + i % n] == 0:
-                    gap += 1
-                    if gap > widest:
-                        widest, begin = gap, i + 1
-                else:
-                    gap = 0
-            if widest == 0:
-                begin = -1
-            else:
-                begin %= n
-        if total > 0 and begin >= 0:
-            low, left = 0, profiles[at + begin]
-            while left * LEFT_OUT_OF <= total:
-                low += 1
-                left += profiles[at + (begin + low) % n]
-            high, left = n - 1, profiles[at + (begin + n - 1) % n]
-            while left * LEFT_OUT_OF <= total:
-                high -= 1
-                left += profiles[at + (begin + high) % n]
-            areas[body, 0] += begin + low
-            if full_circle:
-                areas[body, 0] %= n
+        of_beams, of_bins = profiles[starts[body] :], profiles[starts[body] + n_beams :]
+        total = of_beams[:n_beams].sum()
+        if total == 0:
+            continue
+        begin = _first_after_gap(of_beams, n_beams) if full_circle else 0
+        if begin >= 0:
+            low, high = _bright_part(of_beams, n_beams, begin, total)
+            first = areas[body, 0] + begin + low
+            areas[body, 0] = first % n_beams if full_circle else first
             areas[body, 1] = high - low + 1
-        if total > 0:
-            at += n
-            low, left = 0, profiles[at]
-            while left * LEFT_OUT_OF <= total:
-                low += 1
-                left += profiles[at + low]
-            high, left = n_bins - 1, profiles[at + n_bins - 1]
-            while left * LEFT_OUT_OF <= total:
-                high -= 1
-                left += profiles[at + high]
-            areas[body, 3] = areas[body, 2] + high
-            areas[body, 2] += low
+        low, high = _bright_part(of_bins, n_bins, 0, total)
+        areas[body, 3] = areas[body, 2] + high
+        areas[body, 2] += low
 
 
 @compiled

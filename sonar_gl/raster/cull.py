@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.core.compiled import compiled
+from sonar_gl.core.compiled import compiled, inlined
 
 BEYOND = 60.0  # what lies wholly beyond the last bin may have so many times more geometric error
 MARGIN = 2  # samples about what is visible, so that the outermost of a window meet nothing
@@ -223,6 +223,67 @@ def _whole_samples(low, high, count):
     return int(first), int(last) - int(first)
 
 
+@inlined
+def _find_planes(planes_uv, planes):
+    """Fill planes, (5, 3) zeros, with the normals inwards of a sector's sides: u and v between their limits, ahead."""
+    for k in range(2):
+        side = 1.0 - 2.0 * k
+        u, v = planes_uv[k], planes_uv[2 + k]
+        planes[k, 0], planes[k, 1] = -side * u, -side
+        planes[2 + k, 0], planes[2 + k, 2] = -side * v, side
+    planes[4, 0] = 1.0
+
+
+@inlined
+def _turn_to_body(sector, matrices, b, planes, m, eye, normals):
+    """Fill m, (3, 4) sector_from_body, and the sonar's place and the planes' normals in the frame of body `b`."""
+    for i in range(3):
+        for j in range(4):
+            m[i, j] = 0.0
+            for k in range(3):
+                m[i, j] += sector[i, k] * matrices[b, k, j]
+    for j in range(3):
+        eye[j] = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])
+        for k in range(5):
+            normals[k, j] = planes[k, 0] * m[0, j] + planes[k, 1] * m[1, j] + planes[k, 2] * m[2, j]
+
+
+@inlined
+def _look_at(box, i, eye, ray):
+    """Fill ray, (3,), from the sonar to the middle of box `i`, and return the distance of the box."""
+    squares = 0.0
+    for j in range(3):
+        ray[j] = box[i, j] - eye[j]
+        apart = max(abs(ray[j]) - box[i, 3 + j], 0.0)
+        squares += apart * apart
+    return math.sqrt(squares)
+
+
+@inlined
+def _is_beyond(box, i, ray, normals):
+    """Return whether box `i` lies behind one of the planes by which the sector ends."""
+    beyond = False
+    for k in range(5):
+        reach, at = 0.0, 0.0
+        for j in range(3):
+            reach += abs(normals[k, j]) * box[i, 3 + j]
+            at += normals[k, j] * ray[j]
+        beyond |= at < -reach
+    return beyond
+
+
+@inlined
+def _is_turned_away(box, cone, i, ray):
+    """Return whether all faces of patch `i` show the sonar their backs, by the cone of their normals."""
+    radius, distance, along = 0.0, 0.0, 0.0
+    for j in range(3):
+        radius += box[i, 3 + j] * box[i, 3 + j]
+        distance += ray[j] * ray[j]
+        along += ray[j] * cone[i, j]
+    radius, distance = math.sqrt(radius), math.sqrt(distance)
+    return along >= math.sqrt(1 - cone[i, 3] * cone[i, 3]) * distance + radius
+
+
 @compiled
 def choose_patches(tree, bodies, places, view, limits, chosen):
     """Choose the patches that a sector draws, and the window of samples about their bodies.
@@ -246,43 +307,19 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
     n, faces_of_all = 0, 0
     m, normals, eye, ray = np.empty((3, 4)), np.empty((5, 3)), np.empty(3), np.empty(3)
     extent = np.array([np.inf, -np.inf, np.inf, -np.inf])  # low and high column, low and high row
-    planes = np.zeros((5, 3))  # inwards, in the sector's frame: u and v between their limits, ahead
-    for k in range(2):
-        side = 1.0 - 2.0 * k
-        u, v = planes_uv[k], planes_uv[2 + k]
-        planes[k, 0], planes[k, 1] = -side * u, -side
-        planes[2 + k, 0], planes[2 + k, 2] = -side * v, side
-    planes[4, 0] = 1.0
+    planes = np.zeros((5, 3))
+    _find_planes(planes_uv, planes)
     for place_in_order in range(order.shape[0]):
         b = order[place_in_order]
         if not present[b]:
             continue
         echo_error = 0.0 if rows[b, LOBE] > 0.0 else most_echo_error
-        for i in range(3):
-            for j in range(4):
-                m[i, j] = 0.0
-                for k in range(3):
-                    m[i, j] += sector[i, k] * matrices[b, k, j]
-        for j in range(3):  # all in the body's frame
-            eye[j] = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])
-            for k in range(5):
-                normals[k, j] = planes[k, 0] * m[0, j] + planes[k, 1] * m[1, j] + planes[k, 2] * m[2, j]
+        _turn_to_body(sector, matrices, b, planes, m, eye, normals)
         covered = False
         i, end = roots[b, 0], roots[b, 1]
         while i < end:
-            beyond, nearest = False, 0.0
-            for j in range(3):
-                ray[j] = box[i, j] - eye[j]
-                apart = max(abs(ray[j]) - box[i, 3 + j], 0.0)
-                nearest += apart * apart
-            nearest = math.sqrt(nearest)
-            for k in range(5):
-                reach, at = 0.0, 0.0
-                for j in range(3):
-                    reach += abs(normals[k, j]) * box[i, 3 + j]
-                    at += normals[k, j] * ray[j]
-                beyond |= at < -reach
-            if beyond or nearest > far_m:
+            nearest = _look_at(box, i, eye, ray)
+            if _is_beyond(box, i, ray, normals) or nearest > far_m:
                 i = skip[i]
                 continue
             if not covered:
@@ -298,15 +335,7 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
                 if not enough:
                     i += 1
                     continue
-            hidden = False
-            if outside and closed[b] != 0 and cone[i, 3] > 0.0:
-                radius, distance, along = 0.0, 0.0, 0.0
-                for j in range(3):
-                    radius += box[i, 3 + j] * box[i, 3 + j]
-                    distance += ray[j] * ray[j]
-                    along += ray[j] * cone[i, j]
-                radius, distance = math.sqrt(radius), math.sqrt(distance)
-                hidden = along >= math.sqrt(1 - cone[i, 3] * cone[i, 3]) * distance + radius
+            hidden = outside and closed[b] != 0 and cone[i, 3] > 0.0 and _is_turned_away(box, cone, i, ray)
             if not hidden and n_faces[i] > 0:
                 chosen[n, 0], chosen[n, 1] = i, b
                 n, faces_of_all = n + 1, faces_of_all + n_faces[i]

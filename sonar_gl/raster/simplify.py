@@ -194,66 +194,99 @@ def simplify(points: np.ndarray, faces: np.ndarray, locked: np.ndarray, target: 
 
 
 @rounded_alike
+def _rate_edges(points, faces, locked, quadrics, pairs, costs):
+    """Write, for each edge that may be collapsed, the vertices from and to, and the cost; return how many there are.
+
+    pairs, costs : (3 F, 2) int32 and (3 F,); overwritten
+    """
+    count = 0
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            a, b = faces[f, k], faces[f, (k + 1) % 3]
+            # an inner edge appears twice, once in each direction; use one of them
+            if a > b or (locked[a] and locked[b]):
+                continue
+            there = np.inf if locked[a] else _cost(quadrics[a], points[b])
+            back = np.inf if locked[b] else _cost(quadrics[b], points[a])
+            pairs[count, 0], pairs[count, 1] = (a, b) if there <= back else (b, a)
+            costs[count] = min(there, back)
+            count += 1
+    return count
+
+
+@rounded_alike
+def _keep_cheap(pairs, costs, count, limit):
+    """Move the edges that cost at most `limit` to the front, in their order; return how many there are."""
+    n_cheap = 0
+    for n in range(count):
+        if costs[n] <= limit:
+            pairs[n_cheap, 0], pairs[n_cheap, 1], costs[n_cheap] = pairs[n, 0], pairs[n, 1], costs[n]
+            n_cheap += 1
+    return n_cheap
+
+
+@rounded_alike
+def _collapse(pairs, costs, n_needed, points, faces, quadrics, remap):
+    """Collapse edges that are independent of each other, the cheapest first; return how many, and the largest cost.
+
+    quadrics, remap : of the vertices that stay, and where each vertex has gone; both are updated
+    """
+    start, about = _neighbours(faces, points.shape[0])
+    touched, done, worst = np.zeros(points.shape[0], np.bool_), 0, 0.0
+    for n in stable_argsort(costs):
+        if done >= n_needed:
+            break
+        a, b = pairs[n, 0], pairs[n, 1]
+        if touched[a] or touched[b] or _flips(points, faces, start, about, remap, a, b):
+            continue
+        if _pinches(faces, start, about, remap, a, b):
+            continue
+        touched[a] = touched[b] = True
+        remap[a] = b
+        for k in range(11):  # Numba takes two seconds to compile `quadrics[b] += quadrics[a]`
+            quadrics[b, k] += quadrics[a, k]
+        worst = max(worst, costs[n])
+        done += 1
+    return done, worst
+
+
+@rounded_alike
+def _drop_collapsed(faces, remap):
+    """Write the faces that still have three vertices to the first rows of `faces`; return how many there are."""
+    n_left = 0
+    for f in range(faces.shape[0]):
+        i, j, k = remap[faces[f, 0]], remap[faces[f, 1]], remap[faces[f, 2]]
+        if i != j and j != k and i != k:
+            faces[n_left, 0], faces[n_left, 1], faces[n_left, 2] = i, j, k
+            n_left += 1
+    return n_left
+
+
+@rounded_alike
 def _simplify(points, faces, locked, target, left):
     """Write the faces of `simplify` to the first rows of `left`; return how many there are, and the error."""
     n_vertices = points.shape[0]
     quadrics = np.zeros((n_vertices, 11))
     _quadrics(points, faces, quadrics)
-    faces, worst = faces.copy(), 0.0
+    n_faces, worst = faces.shape[0], 0.0
+    for f in range(n_faces):  # Numba takes three seconds to compile `left[:] = faces`
+        for k in range(3):
+            left[f, k] = faces[f, k]
     remap = np.arange(n_vertices).astype(np.int32)
-    touched = np.zeros(n_vertices, np.bool_)
+    pairs, costs = np.empty((3 * n_faces, 2), np.int32), np.empty(3 * n_faces)
     for _ in range(MAX_PASSES):
-        n_faces = faces.shape[0]
         if n_faces <= target:
             break
-        start, about = _neighbours(faces, n_vertices)
-        pairs, costs, count = np.empty((3 * n_faces, 2), np.int32), np.empty(3 * n_faces), 0
-        for f in range(n_faces):
-            for k in range(3):
-                a, b = faces[f, k], faces[f, (k + 1) % 3]
-                # an inner edge appears twice, once in each direction; use one of them
-                if a > b or (locked[a] and locked[b]):
-                    continue
-                there = np.inf if locked[a] else _cost(quadrics[a], points[b])
-                back = np.inf if locked[b] else _cost(quadrics[b], points[a])
-                pairs[count, 0], pairs[count, 1] = (a, b) if there <= back else (b, a)
-                costs[count] = min(there, back)
-                count += 1
+        count = _rate_edges(points, left[:n_faces], locked, quadrics, pairs, costs)
         if count == 0:
             break
         n_needed = (n_faces - target + 1) // 2
         limit = nth_smallest(costs[:count].copy(), min(n_needed, count - 1)) * PASS_SLACK + 1e-30
-        n_cheap = 0
-        for n in range(count):  # only these are sorted, since the pass ends at the limit
-            if costs[n] <= limit:
-                pairs[n_cheap, 0], pairs[n_cheap, 1], costs[n_cheap] = pairs[n, 0], pairs[n, 1], costs[n]
-                n_cheap += 1
-        touched[:] = False
-        done = 0
-        for n in stable_argsort(costs[:n_cheap]):
-            if done >= n_needed:
-                break
-            a, b = pairs[n, 0], pairs[n, 1]
-            if touched[a] or touched[b] or _flips(points, faces, start, about, remap, a, b):
-                continue
-            if _pinches(faces, start, about, remap, a, b):
-                continue
-            touched[a] = touched[b] = True
-            remap[a] = b
-            for k in range(11):  # Numba takes two seconds to compile `quadrics[b] += quadrics[a]`
-                quadrics[b, k] += quadrics[a, k]
-            worst = max(worst, costs[n])
-            done += 1
+        # only these are sorted, since the pass ends at the limit
+        n_cheap = _keep_cheap(pairs, costs, count, limit)
+        done, most = _collapse(pairs, costs[:n_cheap], n_needed, points, left[:n_faces], quadrics, remap)
         if done == 0:
             break
-        n_left = 0
-        for f in range(n_faces):
-            i, j, k = remap[faces[f, 0]], remap[faces[f, 1]], remap[faces[f, 2]]
-            if i != j and j != k and i != k:
-                faces[n_left, 0], faces[n_left, 1], faces[n_left, 2] = i, j, k
-                n_left += 1
-        faces = faces[:n_left].copy()
-    for f in range(faces.shape[0]):
-        for k in range(3):
-            left[f, k] = faces[f, k]
-    return faces.shape[0], math.sqrt(worst)
+        worst = max(worst, most)
+        n_faces = _drop_collapsed(left[:n_faces], remap)
+    return n_faces, math.sqrt(worst)

@@ -87,6 +87,8 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     """
     if not isinstance(skip_missing, bool | np.bool_):
         raise Error(f"skip_missing must be True or False (got {shown(skip_missing)})")
+    if isinstance(what, (str, os.PathLike)):
+        return _load_named(what, resource_paths, skip_missing)
     if is_pyrender_scene(what):
         return convert_pyrender_scene(what)
     if is_mujoco_model(what):
@@ -95,11 +97,14 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
         return _convert_trimesh_scene(what)
     if hasattr(what, "vertices") and hasattr(what, "faces"):
         return Scene([Body("mesh", what)])
-    if not isinstance(what, (str, os.PathLike)):
-        raise Error(
-            "a scene must be a bundled name, a path, or a scene or mesh of trimesh, pyrender or MuJoCo "
-            f"(got {type(what).__name__})"
-        )
+    raise Error(
+        "a scene must be a bundled name, a path, or a scene or mesh of trimesh, pyrender or MuJoCo "
+        f"(got {type(what).__name__})"
+    )
+
+
+def _load_named(what, resource_paths: Iterable[str | os.PathLike], skip_missing: bool) -> Scene:
+    """Load a scene by a bundled name or a path; arguments and errors as of `load_scene`."""
     if not os.fspath(what):
         raise Error("a scene must be a bundled name or a path (got an empty text)")
     path, bundled = Path(split_arguments(str(what))[0]), bundled_scenes()
@@ -114,19 +119,24 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     if (path / "model.sdf").is_file() or (path / "model.config").is_file():
         return read_sdf(path, resource_paths, skip_missing)
     suffix = path.suffix.lower()
-    if suffix in SUFFIXES:
-        if path.is_dir():
-            raise Error(f"{path}: must be a file, or the folder of a model (it has no model.sdf)")
-        if not path.exists():
-            hint = _similar_files(path) or "bundled scenes are named without an ending"
-            raise Error(f"{path}: there is no such file ({hint})")
-        check_is_file(path)
-        if suffix in mesh_files.SUFFIXES:
-            return _read_mesh_scene(path)
-        if suffix in mujoco_model.SUFFIXES and Resources(path).parse(path).tag == "mujoco":
-            return mujoco_model.read_mjcf(path, resource_paths)
-        return read_sdf(what, resource_paths, skip_missing)
-    raise _no_scene_error(what, path)
+    if suffix not in SUFFIXES:
+        raise _no_scene_error(what, path)
+    _check_scene_file(path)
+    if suffix in mesh_files.SUFFIXES:
+        return _read_mesh_scene(path)
+    if suffix in mujoco_model.SUFFIXES and Resources(path).parse(path).tag == "mujoco":
+        return mujoco_model.read_mjcf(path, resource_paths)
+    return read_sdf(what, resource_paths, skip_missing)
+
+
+def _check_scene_file(path: Path) -> None:
+    """Raise an Error unless a path with the ending of a scene's file is that of a file."""
+    if path.is_dir():
+        raise Error(f"{path}: must be a file, or the folder of a model (it has no model.sdf)")
+    if not path.exists():
+        hint = _similar_files(path) or "bundled scenes are named without an ending"
+        raise Error(f"{path}: there is no such file ({hint})")
+    check_is_file(path)
 
 
 def _no_scene_error(what, path: Path) -> Error:

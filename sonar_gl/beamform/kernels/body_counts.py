@@ -162,10 +162,8 @@ def _count_sector(image, lattice, parts, s, weights, totals, sums):
             returned = plane_echo[j, i, 3] * q * area * per_L2 * per_L2 * gain[int(k)] * pattern
             taken = returned
             if n_strips:
-                while past < n_strips and middles[past] <= uc + half:
-                    past += 1
-                while before < n_strips and middles[before] <= uc - half:
-                    before += 1
+                past = _pass_by(middles, past, uc + half)
+                before = _pass_by(middles, before, uc - half)
                 taken = returned * (parts.end[first_end + past] - parts.end[first_end + before]) / u[1]
             of_strips[body] += taken
             if abs(uc) > widest_u:
@@ -180,13 +178,27 @@ def _count_sector(image, lattice, parts, s, weights, totals, sums):
                 across[body] += (returned - over) ** 2
             else:
                 sums[body, RUNS_ACROSS] += 1.0
-            sums[body, N] += 1.0
-            sums[body, I] += i
-            sums[body, J] += j
-            sums[body, II] += i * i
-            sums[body, IJ] += i * j
-            sums[body, JJ] += j * j
+            _add_place(sums, body, i, j)
             beside, body_beside, above[i], body_above[i] = returned, body, returned, body
+
+
+@inlined
+def _pass_by(middles, n, u):
+    """Return the first of rising `middles` from number n on that is above u."""
+    while n < len(middles) and middles[n] <= u:
+        n += 1
+    return n
+
+
+@inlined
+def _add_place(sums, body, i, j):
+    """Add a sample to the moments of its body."""
+    sums[body, N] += 1.0
+    sums[body, I] += i
+    sums[body, J] += j
+    sums[body, II] += i * i
+    sums[body, IJ] += i * j
+    sums[body, JJ] += j * j
 
 
 @inlined

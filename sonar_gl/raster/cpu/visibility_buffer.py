@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import uint64
 
-from sonar_gl.core.compiled import compiled, inlined
+from sonar_gl.core.compiled import as_table, compiled, inlined, uncounted
 
 GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
 # samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
@@ -33,6 +33,7 @@ FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its pe
 # and rows up to some thousands.
 THINNEST = 1e-4
 HALF_STEP = 0.5 / GRID**2  # of what tells on which side of an edge between corners on the grid a sample lies
+NO_FORM = (0.0, 0.0, 0.0)  # of a triangle that is not seen
 ON_EDGE = 1e-6  # of a sample: rounding of the ends of rows where corners are not on the grid
 
 
@@ -120,11 +121,69 @@ class Scratch(NamedTuple):
     row_steps: np.ndarray
 
 
+class RasterRoom(NamedTuple):
+    """Room for a patch and one of its triangles, as what is `uncounted` makes no arrays; overwritten.
+
+    exact, steps : (6, MAX_PATCH_VERTICES) float64 and (2, MAX_PATCH_VERTICES) int32, rows of Scratch
+    m, p : (3, 4) of `_place`
+    selected : (MAX_PATCH_VERTICES,) faces; a patch has a third as many
+    in_column, in_row : (FEW + 1,) samples inside a triangle, of `_find_samples_inside`
+    corners : (3, 3) of `_find_corners`
+    cuts, ends : (8, 3) of `_fill_rows`
+    """
+
+    exact: np.ndarray
+    steps: np.ndarray
+    m: np.ndarray
+    p: np.ndarray
+    selected: np.ndarray
+    in_column: np.ndarray
+    in_row: np.ndarray
+    corners: np.ndarray
+    cuts: np.ndarray
+    ends: np.ndarray
+
+
 @inlined
-def _make_scratch():
-    """Return room for the vertices of a patch."""
-    exact, steps = np.empty((6, MAX_PATCH_VERTICES)), np.empty((2, MAX_PATCH_VERTICES), np.int32)
+def _make_room():
+    """Return room for a patch and a triangle."""
+    return RasterRoom(
+        np.empty((6, MAX_PATCH_VERTICES)),
+        np.empty((2, MAX_PATCH_VERTICES), np.int32),
+        np.empty((3, 4)),
+        np.empty((3, 4)),
+        np.empty(MAX_PATCH_VERTICES, np.int64),
+        np.empty(FEW + 1, np.int64),
+        np.empty(FEW + 1, np.int64),
+        np.empty((3, 3)),
+        np.empty((8, 3)),
+        np.empty((8, 3)),
+    )
+
+
+@inlined
+def _scratch_in(room):
+    """Return the Scratch whose rows a RasterRoom holds."""
+    exact, steps = as_table(room.exact, 6, MAX_PATCH_VERTICES), as_table(room.steps, 2, MAX_PATCH_VERTICES)
     return Scratch(exact[0], exact[1], exact[2], exact[3], exact[4], exact[5], steps[0], steps[1])
+
+
+class DrawnPatch(NamedTuple):
+    """What decides how the triangles of a patch are drawn.
+
+    is_one_sided : back faces are not visible
+    is_whole : neither near, far nor clip plane cuts off any of it
+    is_cut : the clip plane cuts its body
+    near_m, far_m : near and far plane
+    plane : (4,) clip plane, of PlacedBodies
+    """
+
+    is_one_sided: bool
+    is_whole: bool
+    is_cut: bool
+    near_m: float
+    far_m: float
+    plane: np.ndarray
 
 
 @inlined
@@ -161,10 +220,17 @@ def _project(points, start, count, p, scratch):
 
 
 @inlined
-def _select_faces(faces, first, count, column_steps, row_steps, window, found):
-    """Select the faces with a sample of the window in the box about them; return how many."""
+def _select_faces(faces, first, count, are_in_front, scratch, window, found):
+    """Select the faces with a sample of the window in the box about them; return how many.
+
+    are_in_front : whether no vertex is nearer than the near plane; else the boxes mean nothing, and all are selected
+    """
+    if not are_in_front:
+        for f in range(count):
+            found[f] = first + f
+        return count
     n, last, shift = 0, np.int32(GRID - 1), np.int32(8)  # 2 ** 8 = GRID
-    i0, i1, j0, j1 = window
+    column_steps, row_steps, (i0, i1, j0, j1) = scratch.column_steps, scratch.row_steps, window
     for f in range(uint64(first), uint64(first + count)):
         a, b, c = uint64(faces[f, 0]), uint64(faces[f, 1]), uint64(faces[f, 2])
         x0, x1, x2 = column_steps[a], column_steps[b], column_steps[c]
@@ -176,7 +242,7 @@ def _select_faces(faces, first, count, column_steps, row_steps, window, found):
     return n
 
 
-@compiled
+@uncounted
 def _fill_rows(cuts, n_cuts, window, bottom, top, form, t, depth, triangle, ends):
     """Draw what lies within half-planes g0 + g1 column + g2 row >= 0; return how many samples were tried.
 
@@ -218,16 +284,19 @@ def _fill_rows(cuts, n_cuts, window, bottom, top, form, t, depth, triangle, ends
 
 
 @inlined
-def _place(sector, inverse, offset, matrix, m, p):
+def _place(view, matrix, m, p):
     """Fill m, (3, 4) sector_from_body, and p, (3, 4) of column x, row x and x of a point of the body."""
+    sector, _, inverse, corner, _, _, _ = view
     for i in range(3):
         for j in range(4):
             m[i, j] = 0.0
             for k in range(3):
                 m[i, j] += sector[i, k] * matrix[k, j]
-    for j in range(4):  # of (u, v) = (-y / x, z / x)
-        for i in range(2):
-            p[i, j] = -inverse[i, 0] * m[1, j] + inverse[i, 1] * m[2, j] - offset[i] * m[0, j]
+    for i in range(2):  # of (u, v) = (-y / x, z / x)
+        offset = inverse[i, 0] * corner[0] + inverse[i, 1] * corner[1]
+        for j in range(4):
+            p[i, j] = -inverse[i, 0] * m[1, j] + inverse[i, 1] * m[2, j] - offset * m[0, j]
+    for j in range(4):
         p[2, j] = m[0, j]
 
 
@@ -252,6 +321,13 @@ def _is_outside(box, p, window):
 def _toward(g1, g2):
     """Return half a step, negative where a sample on an edge is not of the side to which g1 column + g2 row rises."""
     return HALF_STEP if g1 > 0.0 or (g1 == 0.0 and g2 > 0.0) else -HALF_STEP
+
+
+@inlined
+def _are_in_front(inverses, a, b, c, near_m):
+    """Return whether no corner of a triangle is nearer than the near plane."""
+    qa, qb, qc = inverses[a], inverses[b], inverses[c]
+    return min(qa, qb, qc) >= 0.0 and max(qa, qb, qc) <= 1.0 / near_m
 
 
 @inlined
@@ -383,15 +459,115 @@ def _write_plane(inverse, u0, v0, form, planes, n):
     planes[n, 2] = 1.0 / math.sqrt(ahead * ahead + along_u * along_u + along_v * along_v)
 
 
-@compiled
-def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, triangles):
+@inlined
+def _draw_rows(room, n_cuts, n_on_grid, form, patch, view, window, bottom, top, t, buffer):
+    """Draw a triangle row by row, as far as the far plane and the clip plane leave it; return as `_fill_rows` does.
+
+    room : RasterRoom, whose `cuts` are `n_cuts` half-planes, the first `n_on_grid` of them between corners on the grid
+    patch, view, buffer : DrawnPatch, SectorGeometry and VisibilityBuffer
+    form, window, bottom, top, t : of `_fill_rows`
+    """
+    cuts, (depth, triangle) = room.cuts, buffer
+    if not patch.is_whole:
+        cuts[n_cuts, 0], cuts[n_cuts, 1], cuts[n_cuts, 2] = form[0] - 1.0 / patch.far_m, form[1], form[2]
+        n_cuts += 1
+    if patch.is_cut:
+        _cut_by_clip_plane(patch.plane, view, form, cuts, n_cuts)
+        n_cuts += 1
+    for o in range(n_on_grid, n_cuts):
+        cuts[o, 0] += ON_EDGE * abs(cuts[o, 1])
+    return _fill_rows(cuts, n_cuts, window, bottom, top, form, np.int32(t), depth, triangle, room.ends)
+
+
+@inlined
+def _draw_in_front(scratch, a, b, c, patch, view, window, t, buffer, room):
+    """Draw a triangle of which no corner is nearer than the near plane, by its corners on the grid.
+
+    Parameters
+    ----------
+    scratch, patch, view, buffer, room : Scratch, DrawnPatch, SectorGeometry, VisibilityBuffer and RasterRoom
+    a, b, c : corners, places in `scratch`
+    t : row of `Triangles`
+
+    Returns
+    -------
+    is_seen : whether any sample may show it
+    form : (q0, q_column, q_row) of its 1/x, if it is seen
+    """
+    ax, ay = scratch.rounded_columns[a], scratch.rounded_rows[a]
+    bx, by = scratch.rounded_columns[b], scratch.rounded_rows[b]
+    cx, cy = scratch.rounded_columns[c], scratch.rounded_rows[c]
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    if area == 0.0 or (patch.is_one_sided and area < 0.0):
+        return False, NO_FORM
+    left = math.ceil(max(min(ax, bx, cx), float(window[0])))
+    right = math.floor(min(max(ax, bx, cx), float(window[1])))
+    bottom = math.ceil(max(min(ay, by, cy), float(window[2])))
+    top = math.floor(min(max(ay, by, cy), float(window[3])))
+    if left > right or bottom > top:
+        return False, NO_FORM
+    half_planes = _half_planes(ax, ay, bx, by, cx, cy, area)
+    is_small = patch.is_whole and (right - left + 1) * (top - bottom + 1) <= FEW
+    n_inside = 0
+    if is_small:
+        n_inside = _find_samples_inside(half_planes, left, right, bottom, top, room.in_column, room.in_row)
+        if n_inside == 0:
+            return False, NO_FORM
+    form, is_thin = _fit_inverse_depth(scratch.columns, scratch.rows, scratch.inverses, a, b, c)
+    if is_thin:
+        return False, form
+    depth, triangle = buffer
+    if is_small:
+        n_nearest = _draw_samples(room.in_column, room.in_row, n_inside, window, form, t, depth, triangle)
+        return n_nearest > 0, form
+    for o in range(3):
+        room.cuts[o, 0], room.cuts[o, 1], room.cuts[o, 2] = half_planes[o]
+    n_tried = _draw_rows(room, 3, 3, form, patch, view, window, bottom, top, t, buffer)
+    return n_tried > 0, form
+
+
+@inlined
+def _draw_across_near_plane(points, at, p, patch, view, window, t, buffer, room):
+    """Draw a triangle with a corner before the near plane, or behind the sonar; return as `_draw_in_front` does.
+
+    points, at : vertices of all patches, and which of them are the corners
+    p : of `_project`
+    """
+    if _find_corners(points, at, p, patch.near_m, room.corners) == 3:
+        return False, NO_FORM
+    determinant, form = _cut_by_corners(room.corners, room.cuts)
+    if determinant == 0.0 or (patch.is_one_sided and determinant < 0.0):
+        return False, form
+    room.cuts[3, 0], room.cuts[3, 1], room.cuts[3, 2] = 1.0 / patch.near_m - form[0], -form[1], -form[2]
+    n_tried = _draw_rows(room, 4, 0, form, patch, view, window, window[2], window[3], t, buffer)
+    return n_tried > 0, form
+
+
+@inlined
+def _write_triangle(form, view, vertices, start, f, faces, body, body_rows, triangles, n, room):
+    """Write a triangle into row n of `triangles`: face `f` of a patch whose vertices begin at `start`."""
+    (planes, bodies, normal_forms), (points, normals, reflectivity) = triangles, vertices
+    _write_plane(view[2], view[5][0], view[6][0], form, planes, n)
+    planes[n, 3] = body_rows[body, 12]
+    if reflectivity.shape[0]:
+        planes[n, 3] *= reflectivity[uint64(start) + uint64(faces[f, 0])]
+    # the same whichever window is drawn; that two neighbours share it by chance is one case in 2^31
+    bodies[n, 2] = np.int32((np.int64(f) + np.int64(body) * BODY_STEP) & 0x7FFFFFFF)
+    bodies[n, 0], bodies[n, 1] = body, FLAT if body_rows[body, 14] > np.float32(0.0) else EVEN
+    if normal_forms.shape[0] > 0 and _has_normals(normals, start, f, faces):
+        bodies[n, 1] = n
+        _fit_normals(normals, start, f, faces, points, room.m, room.p, room.corners, normal_forms[n])
+
+
+@uncounted
+def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, triangles, room):
     """Draw the triangles of some patches into a visibility buffer.
 
     Parameters
     ----------
     chosen : (K, 2) patch and body, of `choose_patches`; `triangles` must have room for all of their faces
-    patches, vertices, placed, view, buffer, triangles : tuples of PatchFaces, Vertices, PlacedBodies, SectorGeometry,
-        VisibilityBuffer and Triangles
+    patches, vertices, placed, view, buffer, triangles, room : tuples of PatchFaces, Vertices, PlacedBodies,
+        SectorGeometry, VisibilityBuffer and Triangles, and RasterRoom
     window : first and last column, first and last row of the buffer, in the sector
     limits : (2,) near and far plane, metres
 
@@ -400,122 +576,39 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
     how many triangles were drawn
     """
     first_vertex, n_vertices, first_face, n_faces, faces, boxes = patches
-    points, normals, reflectivity = vertices
     matrices, body_rows, is_cut, closed, outside, plane = placed
-    sector, _, inverse, corner, _, lattice_u, lattice_v = view
-    depth, triangle = buffer
-    planes, bodies, normal_forms = triangles
+    (depth, _), points = buffer, vertices[0]
     near_m, far_m = limits[0], limits[1]
-    i0, i1, j0, j1 = window
-    smooth = normal_forms.shape[0] > 0
-    u0, v0 = lattice_u[0], lattice_v[0]
-    offset = np.empty(2)
-    for i in range(2):
-        offset[i] = inverse[i, 0] * corner[0] + inverse[i, 1] * corner[1]
+    scratch, m, p, selected = _scratch_in(room), room.m, room.p, room.selected
     for j in range(uint64(depth.shape[0])):
         for i in range(uint64(depth.shape[1])):
             depth[j, i] = 0.0
-    m, p = np.empty((3, 4)), np.empty((3, 4))
-    scratch = _make_scratch()
-    columns, rows, inverses, _, rounded_columns, rounded_rows, column_steps, row_steps = scratch
-    selected = np.empty(0, np.int64)
-    cuts, corners, ends = np.empty((8, 3)), np.empty((3, 3)), np.empty((8, 3))
-    in_column, in_row = np.empty(FEW + 1, np.int64), np.empty(FEW + 1, np.int64)
     n, last = 0, -1
     for k in range(chosen.shape[0]):
         patch, body = chosen[k, 0], chosen[k, 1]
         if body != last:
             last = body
-            _place(sector, inverse, offset, matrices[body], m, p)
+            _place(view, matrices[body], m, p)
         if _is_outside(boxes[patch], p, window):
             continue
-        start, count = first_vertex[patch], n_vertices[patch]
-        nearest, furthest = _project(points, start, count, p, scratch)
-        begin, n_selected = first_face[patch], n_faces[patch]
-        if selected.shape[0] < n_selected + 1:
-            selected = np.empty(n_selected + 1, np.int64)
-        if nearest >= near_m:
-            n_selected = _select_faces(faces, begin, n_selected, column_steps, row_steps, window, selected)
-        else:
-            for f in range(n_selected):
-                selected[f] = begin + f
-        turned, cut = outside and closed[body] != 0, is_cut[body]
-        plain = nearest >= near_m and furthest <= far_m and not cut
+        start = first_vertex[patch]
+        nearest, furthest = _project(points, start, n_vertices[patch], p, scratch)
+        n_selected = _select_faces(
+            faces, first_face[patch], n_faces[patch], nearest >= near_m, scratch, window, selected
+        )
+        is_whole = nearest >= near_m and furthest <= far_m and not is_cut[body]
+        drawn = DrawnPatch(outside and closed[body] != 0, is_whole, is_cut[body], near_m, far_m, plane)
         for number in range(uint64(n_selected)):
             f = uint64(selected[number])
             a, b, c = uint64(faces[f, 0]), uint64(faces[f, 1]), uint64(faces[f, 2])
-            qa, qb, qc = inverses[a], inverses[b], inverses[c]
-            n_cuts = 0
-            if plain or (min(qa, qb, qc) >= 0.0 and max(qa, qb, qc) <= 1.0 / near_m):  # in front of the sonar
-                ax, ay = rounded_columns[a], rounded_rows[a]
-                bx, by = rounded_columns[b], rounded_rows[b]
-                cx, cy = rounded_columns[c], rounded_rows[c]
-                area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-                if area == 0.0 or (turned and area < 0.0):
-                    continue
-                left = math.ceil(max(min(ax, bx, cx), float(i0)))
-                right = math.floor(min(max(ax, bx, cx), float(i1)))
-                bottom = math.ceil(max(min(ay, by, cy), float(j0)))
-                top = math.floor(min(max(ay, by, cy), float(j1)))
-                if left > right or bottom > top:
-                    continue
-                half_planes = _half_planes(ax, ay, bx, by, cx, cy, area)
-                is_small = plain and (right - left + 1) * (top - bottom + 1) <= FEW
-                n_inside = 0
-                if is_small:
-                    n_inside = _find_samples_inside(half_planes, left, right, bottom, top, in_column, in_row)
-                    if n_inside == 0:
-                        continue
-                form, is_thin = _fit_inverse_depth(columns, rows, inverses, a, b, c)
-                if is_thin:
-                    continue
-                if is_small:
-                    if _draw_samples(in_column, in_row, n_inside, window, form, n, depth, triangle) == 0:
-                        continue
-                else:
-                    for o in range(3):
-                        cuts[o, 0], cuts[o, 1], cuts[o, 2] = half_planes[o]
-                    n_cuts = 3
-            else:  # a corner lies before the near plane, or behind the sonar
+            if is_whole or _are_in_front(scratch.inverses, a, b, c, near_m):
+                is_seen, form = _draw_in_front(scratch, a, b, c, drawn, view, window, n, buffer, room)
+            else:
                 at = uint64(start) + a, uint64(start) + b, uint64(start) + c
-                if _find_corners(points, at, p, near_m, corners) == 3:
-                    continue
-                determinant, form = _cut_by_corners(corners, cuts)
-                if determinant == 0.0 or (turned and determinant < 0.0):
-                    continue
-                cuts[3, 0], cuts[3, 1], cuts[3, 2] = 1.0 / near_m - form[0], -form[1], -form[2]
-                n_cuts = 4
-                bottom, top = j0, j1
-            if n_cuts:
-                first_off_grid = 3 if n_cuts == 3 else 0
-                if not plain:
-                    cuts[n_cuts, 0], cuts[n_cuts, 1], cuts[n_cuts, 2] = (
-                        form[0] - 1.0 / far_m,
-                        form[1],
-                        form[2],
-                    )
-                    n_cuts += 1
-                if cut:
-                    _cut_by_clip_plane(plane, view, form, cuts, n_cuts)
-                    n_cuts += 1
-                for o in range(first_off_grid, n_cuts):
-                    cuts[o, 0] += ON_EDGE * abs(cuts[o, 1])
-                n_tried = _fill_rows(
-                    cuts, n_cuts, window, bottom, top, form, np.int32(n), depth, triangle, ends
-                )
-                if n_tried == 0:
-                    continue
-            _write_plane(inverse, u0, v0, form, planes, n)
-            planes[n, 3] = body_rows[body, 12]
-            if reflectivity.shape[0]:
-                planes[n, 3] *= reflectivity[uint64(start) + a]
-            # the same whichever window is drawn; that two neighbours share it by chance is one case in 2^31
-            bodies[n, 2] = np.int32((np.int64(f) + np.int64(body) * BODY_STEP) & 0x7FFFFFFF)
-            bodies[n, 0], bodies[n, 1] = body, FLAT if body_rows[body, 14] > np.float32(0.0) else EVEN
-            if smooth and _has_normals(normals, start, f, faces):
-                bodies[n, 1] = n
-                _fit_normals(normals, start, f, faces, points, m, p, normal_forms[n])
-            n += 1
+                is_seen, form = _draw_across_near_plane(points, at, p, drawn, view, window, n, buffer, room)
+            if is_seen:
+                _write_triangle(form, view, vertices, start, f, faces, body, body_rows, triangles, n, room)
+                n += 1
     return n
 
 
@@ -531,18 +624,16 @@ def _has_normals(normals, start, f, faces):
 
 
 @inlined
-def _fit_normals(normals, start, f, faces, points, m, p, out):
+def _fit_normals(normals, start, f, faces, points, m, p, h, out):
     """Fill out, (9,), with the normal over x, turned to the sector's frame, as a linear form of column and row.
 
     A normal over x is linear over the image, as 1/x is: barycentric coordinates of a point are linear in the point's
     (column x, row x, x).
+
+    h : (3, 3), overwritten
     """
     a, b, c = uint64(start) + faces[f, 0], uint64(start) + faces[f, 1], uint64(start) + faces[f, 2]
-    h = np.empty((3, 3))
-    for o in range(3):
-        w = a if o == 0 else (b if o == 1 else c)
-        for i in range(3):
-            h[o, i] = p[i, 0] * points[w, 0] + p[i, 1] * points[w, 1] + p[i, 2] * points[w, 2] + p[i, 3]
+    _find_corners(points, (a, b, c), p, 0.0, h)
     # rows of the inverse of h, which give w over x at (column, row, 1)
     c0x, c0y = h[1, 1] * h[2, 2] - h[1, 2] * h[2, 1], h[1, 2] * h[2, 0] - h[1, 0] * h[2, 2]
     c0z = h[1, 0] * h[2, 1] - h[1, 1] * h[2, 0]
@@ -584,7 +675,7 @@ def _is_faint(cos_over_depth, over_depth2, slope):
     return square * (1.0 - 2.0 * FAINTEST * slope * slope) < NEARLY * over_depth2
 
 
-@compiled
+@uncounted
 def _write_lobes(q, triangle, planes, lobe, row, left, image):
     """Write a row of samples that return their specular lobes alone into an image.
 
@@ -604,8 +695,47 @@ def _write_lobes(q, triangle, planes, lobe, row, left, image):
         face_id[row, at] = SINGLE - np.int64(row) if is_hit and echo > zero else NOTHING
 
 
-@compiled
-def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone):
+@inlined
+def _shaded_echo(normal_forms, t, x, y, u, v, q, slope_u, slope_v, flat):
+    """Return cos θ times range of a sample by its shading normal, which faces the side that is seen.
+
+    t : row of `normal_forms`; x, y : column and row of the sample
+    flat : the same of the face, where there is no normal
+    """
+    nx = normal_forms[t, 0] + normal_forms[t, 1] * x + normal_forms[t, 2] * y
+    ny = normal_forms[t, 3] + normal_forms[t, 4] * x + normal_forms[t, 5] * y
+    nz = normal_forms[t, 6] + normal_forms[t, 7] * x + normal_forms[t, 8] * y
+    squares = nx * nx + ny * ny + nz * nz
+    if not squares > 0.0:  # or NaN; float64 holds the squares of all float32
+        return flat
+    along_plane = nx * (q - slope_u * u - slope_v * v) - ny * slope_u + nz * slope_v
+    along_ray = nx - ny * u + nz * v
+    turned = along_ray if along_plane > 0.0 else -along_ray
+    return max(turned, 0.0) / (math.sqrt(squares) * q)
+
+
+@inlined
+def _lobe_of(echo, u, v, q, strength, slope):
+    """Return the specular lobe times range of a sample, from cos θ times range."""
+    over_depth2 = 1.0 + u * u + v * v  # square of range over depth
+    if not strength > np.float32(0.0) or _is_faint(echo * q, over_depth2, slope):
+        return 0.0
+    return lobe_times_range(echo, math.sqrt(over_depth2) / q, strength, slope)
+
+
+@inlined
+def _write_bodies(buffer, bodies, left, body_id):
+    """Write the number of the body of each sample into an image, from column `left` on."""
+    depth, triangle = buffer
+    for j in range(uint64(depth.shape[0])):
+        for i in range(uint64(depth.shape[1])):
+            is_hit = depth[j, i] > np.float32(0.0)
+            number = bodies[uint64(triangle[j, i]), 0] + 1 if is_hit else 0
+            body_id[j, uint64(left) + i] = number
+
+
+@uncounted
+def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone, lobes):
     """Write a visibility buffer into an image of samples, as shaders/gbuffer.frag does.
 
     Parameters
@@ -617,6 +747,7 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
         no length if it is not wanted
     lobes_alone : plane_echo and face_id of an image of the same view in which bodies return their specular lobes alone;
         of no length if it is not wanted
+    lobes : (W,) float64, as many as the window has columns; overwritten
     """
     (body_rows, has_lobes), (plane_echo, body_id, face_id) = bodies_seen, image
     depth, triangle = buffer
@@ -624,10 +755,9 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
     lattice_u, lattice_v = view[5], view[6]
     u0, v0, i0, j0 = lattice_u[0], lattice_v[0], window[0], window[2]
     zero, with_lobes = np.float32(0.0), lobes_alone[1].shape[0] > 0
-    lobes = np.zeros(depth.shape[1] if with_lobes else 0)
     for j in range(uint64(depth.shape[0])):
-        for i in range(uint64(lobes.shape[0])):
-            lobes[i] = 0.0
+        if with_lobes:
+            lobes[:] = 0.0
         for i in range(uint64(depth.shape[1])):
             q, t, at = depth[j, i], uint64(triangle[j, i]), uint64(left) + i
             if q <= zero:
@@ -640,44 +770,30 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
             plane_echo[j, at, 1] = planes[t, 0]
             plane_echo[j, at, 2] = planes[t, 1]
             echo = np.float64(planes[t, 2])
-            if bodies[t, 1] != EVEN:
+            if bodies[t, 1] == EVEN:
+                plane_echo[j, at, 3] = planes[t, 3] * echo
+            else:
                 x, y = np.float64(np.int64(i) + i0), np.float64(np.int64(j) + j0)
                 u = u0 + lattice_u[1] * x + lattice_u[2] * y
                 v = v0 + lattice_v[1] * x + lattice_v[2] * y
                 if bodies[t, 1] >= 0:
-                    # entry by entry: a row of the table would be an array with a reference to count
-                    nx = normal_forms[t, 0] + normal_forms[t, 1] * x + normal_forms[t, 2] * y
-                    ny = normal_forms[t, 3] + normal_forms[t, 4] * x + normal_forms[t, 5] * y
-                    nz = normal_forms[t, 6] + normal_forms[t, 7] * x + normal_forms[t, 8] * y
-                    squares, slope_u, slope_v = nx * nx + ny * ny + nz * nz, planes[t, 0], planes[t, 1]
-                    if squares > 0.0:  # not NaN either; float64 holds the squares of all float32
-                        along_plane = nx * (q - slope_u * u - slope_v * v) - ny * slope_u + nz * slope_v
-                        along_ray = nx - ny * u + nz * v
-                        turned = along_ray if along_plane > 0.0 else -along_ray
-                        echo = max(turned, 0.0) / (math.sqrt(squares) * q)
+                    echo = _shaded_echo(normal_forms, t, x, y, u, v, q, planes[t, 0], planes[t, 1], echo)
                 plane_echo[j, at, 3] = planes[t, 3] * echo
-                lobe, slope = body_rows[bodies[t, 0], 14], body_rows[bodies[t, 0], 15]
-                over_depth2 = 1.0 + u * u + v * v  # square of range over depth
-                if has_lobes and lobe > zero and not _is_faint(echo * q, over_depth2, slope):
-                    of_lobe = lobe_times_range(echo, math.sqrt(over_depth2) / q, lobe, slope)
+                strength, slope = body_rows[bodies[t, 0], 14], body_rows[bodies[t, 0], 15]
+                of_lobe = _lobe_of(echo, u, v, q, strength, slope) if has_lobes else 0.0
+                if of_lobe > 0.0:
                     plane_echo[j, at, 3] += of_lobe
                     if with_lobes:
                         lobes[i] = of_lobe
                     if of_lobe > FAINT_LOBE * plane_echo[j, at, 3]:
                         face_id[j, at] = SINGLE - np.int64(j)
-            else:
-                plane_echo[j, at, 3] = planes[t, 3] * echo
             # what returns nothing is joined whatever its face, as most of a view of lobes alone
             if plane_echo[j, at, 3] == zero:
                 face_id[j, at] = NOTHING
         if with_lobes:
             _write_lobes(depth[j], triangle[j], planes, lobes, j, left, lobes_alone)
     if body_id.shape[0]:
-        for j in range(uint64(depth.shape[0])):
-            for i in range(uint64(depth.shape[1])):
-                is_hit = depth[j, i] > zero
-                number = bodies[uint64(triangle[j, i]), 0] + 1 if is_hit else 0
-                body_id[j, uint64(left) + i] = number
+        _write_bodies(buffer, bodies, left, body_id)
 
 
 @compiled
@@ -710,7 +826,8 @@ def draw_windows(
     bodies_seen, image, lobes_alone : as for `shade`
     is_met : (S,) bool, overwritten: whether any sample of the sector may meet something
     """
-    (depth, triangle, triangles), left = memory, 0
+    (depth, triangle, triangles), left, room = memory, 0, _make_room()
+    lobes = np.empty(image[0].shape[1])
     for s in range(found.shape[0]):
         i, j, columns, rows = found[s, 2], found[s, 3], found[s, 4], found[s, 5]
         first, last = part[0] * columns // part[1], (part[0] + 1) * columns // part[1]
@@ -721,8 +838,27 @@ def draw_windows(
             count, shape = rows * (last - first), (rows, last - first)
             buffer = depth[:count].reshape(shape), triangle[:count].reshape(shape)
             n = rasterize(
-                chosen[s, : found[s, 0]], patches, vertices, placed, view, extent, limits, buffer, triangles
+                chosen[s, : found[s, 0]],
+                patches,
+                vertices,
+                placed,
+                view,
+                extent,
+                limits,
+                buffer,
+                triangles,
+                room,
             )
             is_met[s] = n > 0
-            shade(buffer, triangles, view, extent, bodies_seen, left + first, image, lobes_alone)
+            shade(
+                buffer,
+                triangles,
+                view,
+                extent,
+                bodies_seen,
+                left + first,
+                image,
+                lobes_alone,
+                lobes[: last - first],
+            )
         left += columns

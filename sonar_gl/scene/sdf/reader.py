@@ -267,7 +267,7 @@ def _read_root(resources: Resources, path: Path, arguments: dict[str, str]):
     if world is None:
         return root, scope, []
     beside = [one for tag in ("world", "model", "include") for one in root.findall(tag) if one is not world]
-    return world, scope, [f"{path}: {one.tag}[{(one.get('name') or '').strip()}]" for one in beside]
+    return world, scope, [f"{path}: {one.tag}[{_name_of(one)}]" for one in beside]
 
 
 def _read_sensors(sonars: list[SensorOfLink]) -> tuple[list[SonarSensor], list[str]]:
@@ -362,40 +362,45 @@ class TreeReader:
         """
         self._note_tags(element, scope.location_of(""))
         for child in element:
-            name = (child.get("name") or "").strip()
-            location = scope.location_of(
-                _include_text(child) if child.tag == "include" else f"{child.tag}[{name}]"
-            )
-            if child.tag in ("collision", "visual"):
-                self.misplaced.append(f"{location} (it must be in a link)")
-            elif child.tag in ("frame", "include", "link"):
-                self._note_tags(child, f"{location}/")
-            if child.tag == "model":
-                placement = child.get("placement_frame") or ""
-                frame = Frame(
-                    child.find("pose"), location, "", scope.inner(location, scope.folder), placement
-                )
-                self._add_model(scope, name, frame, child, (*stack, None), location)
-            elif child.tag == "include":
-                self._include(scope, child, stack)
-            elif child.tag == "link":
-                scope.add(name, Frame(child.find("pose"), location))
-                scope.links[name] = child
-                for tag in ("collision", "visual", "sensor"):
-                    for one in child.findall(tag):
-                        self._note_tags(one, f"{location}/{tag}[{(one.get('name') or '').strip()}]/")
-            elif child.tag == "frame":
-                base = (child.get("attached_to") or "").strip()
-                scope.add(name, Frame(child.find("pose"), location, base))
-            elif child.tag in NOT_READ:
-                self._left_out.append(f"{child.tag} {name}")
+            self._read_child(scope, child, stack)
         for joint in element.findall("joint"):  # last, since old files give joints the names of links
-            name = (joint.get("name") or "").strip()
-            base = (joint.findtext("child") or "").strip()
+            name, base = _name_of(joint), (joint.findtext("child") or "").strip()
             frame = Frame(joint.find("pose"), scope.location_of(f"joint[{name}]"), base)
             scope.frames.setdefault(name, frame)
-        for name in [(frame.get("name") or "").strip() for frame in element.findall("frame")]:
+        for name in map(_name_of, element.findall("frame")):
             scope.find(name, scope.frames[name].location)  # raises errors of frames that nothing refers to
+
+    def _read_child(self, scope: Scope, child, stack: tuple):
+        """Add what a child of a world or model holds, but for joints; arguments as of `fill`."""
+        name = _name_of(child)
+        location = scope.location_of(
+            _include_text(child) if child.tag == "include" else f"{child.tag}[{name}]"
+        )
+        if child.tag in ("frame", "include", "link"):
+            self._note_tags(child, f"{location}/")
+        if child.tag == "model":
+            placement = child.get("placement_frame") or ""
+            inner = scope.inner(location, scope.folder)
+            frame = Frame(child.find("pose"), location, "", inner, placement)
+            self._add_model(scope, name, frame, child, (*stack, None), location)
+        elif child.tag == "include":
+            self._include(scope, child, stack)
+        elif child.tag == "link":
+            self._add_link(scope, name, child, location)
+        elif child.tag == "frame":
+            base = (child.get("attached_to") or "").strip()
+            scope.add(name, Frame(child.find("pose"), location, base))
+        elif child.tag in ("collision", "visual"):
+            self.misplaced.append(f"{location} (it must be in a link)")
+        elif child.tag in NOT_READ:
+            self._left_out.append(f"{child.tag} {name}")
+
+    def _add_link(self, scope: Scope, name: str, element, location: str):
+        scope.add(name, Frame(element.find("pose"), location))
+        scope.links[name] = element
+        for tag in ("collision", "visual", "sensor"):
+            for one in element.findall(tag):
+                self._note_tags(one, f"{location}/{tag}[{_name_of(one)}]/")
 
     def _note_tags(self, element, location: str):
         """Note the tags in an element that are misspelt, or repeated; `location` ends where theirs follow."""
@@ -435,14 +440,12 @@ class TreeReader:
         if model is None:
             if root.find("light") is None and root.find("actor") is None:
                 raise Error(f"{path}: must hold a <model> (included by {location})")
-            self._left_out += [f"actor {(one.get('name') or '').strip()}" for one in root.findall("actor")]
+            self._left_out += [f"actor {_name_of(one)}" for one in root.findall("actor")]
             return
         self._repeated += [
-            f"{path}: model[{(one.get('name') or '').strip()}]"
-            for one in root.findall("model")
-            if one is not model
+            f"{path}: model[{_name_of(one)}]" for one in root.findall("model") if one is not model
         ]
-        name = name or (model.get("name") or "").strip()
+        name = name or _name_of(model)
         if any(str(child.tag).endswith(CHANGES_OF_INCLUDED) for child in element):
             self._changed.append(name)
         model_location = f"{path}: model[{name}]"
@@ -472,6 +475,11 @@ class TreeReader:
                 "leave merge out)"
             )
         scope.merge(own_name, location)
+
+
+def _name_of(element) -> str:
+    """Return the name of an element, empty if it gives none."""
+    return (element.get("name") or "").strip()
 
 
 def _include_text(element) -> str:
