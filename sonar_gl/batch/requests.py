@@ -351,6 +351,7 @@ class BatchRequests(Sequence):
         self._vehicles[index] = hull
         self._scenes[index] = scene
         if index not in self._places:  # now, since many scenes are not loaded again for it
+            self._check_rests(index)
             self._places[index] = self._find_places(index)
 
     def _check_names_of_bodies(self) -> None:
@@ -379,20 +380,21 @@ class BatchRequests(Sequence):
             self._moved_names[scene, table] = matching_names(patterns, self.bodies_and_plumes(scene))
         return self._moved_names[scene, table]
 
-    def check_rests(self, scene: int, table: int) -> None:
+    def _check_rests(self, scene: int) -> None:
         """Raise an Error if a scene lacks the floor on which a table rests its bodies, or moves it with them."""
-        names, floor = self.moved_names(scene, table), self.job.vary.bodies[table].rests_on
-        if floor is None or not names:
-            return
-        where = f"{self.job.where}: vary.bodies[{table}].rests_on must name a body"
-        if floor in names:
-            raise Error(f"{where} that does not move with the others (got {floor!r})")
         known = [body.name for body in self.scene(scene).bodies]
-        if floor not in known:
-            hint = nearest_of_many(floor, known)
-            raise Error(
-                f"{where} of each scene of {names[0]!r} (got {floor!r}, which scenes[{scene}] lacks; {hint})"
-            )
+        for k, table in enumerate(self.job.vary.bodies):
+            names, floor = self.moved_names(scene, k), table.rests_on
+            if floor is None or not names:
+                continue
+            where = f"{self.job.where}: vary.bodies[{k}].rests_on must name a body"
+            if floor in names:
+                raise Error(f"{where} that does not move with the others (got {floor!r})")
+            if floor not in known:
+                hint = nearest_of_many(floor, known)
+                raise Error(
+                    f"{where} of each scene of {names[0]!r} (got {floor!r}, which scenes[{scene}] lacks; {hint})"
+                )
 
     def _moved_groups(self, scene: int, table: int) -> list[list[str]]:
         """Return the bodies of a scene that a table moves or chooses from, those that move together in one list.

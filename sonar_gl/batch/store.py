@@ -236,7 +236,7 @@ class PingTable:
     Raises
     ------
     Error
-        for a pattern in `vary.bodies` that matches no body of any scene, and for a floor to rest on that a scene lacks.
+        for a pattern in `vary.bodies` that matches no body of any scene.
     """
 
     def __init__(self, requests: BatchRequests):
@@ -246,7 +246,6 @@ class PingTable:
         for scene in range(len(job.scenes)) if job.vary.bodies else ():
             known |= requests.bodies_and_plumes(scene)
             for k, table in enumerate(job.vary.bodies):
-                requests.check_rests(scene, k)
                 bodies = [(scene, name) for name in requests.moved_names(scene, k)]
                 moved |= dict.fromkeys(bodies)
                 if table.reflectivity is not None:

@@ -87,11 +87,11 @@ def render(scene_name: str, options, given: set[str]) -> str:
     if options.counts is not None:
         sonar = _with_counts(sonar, options, style)
     acoustics = acoustics or needed_acoustics(scene, sonar, options.tolerance, poses, water_from(options))
-    _note_bodies_beyond(scene, poses, acoustics.true_range_sonar(sonar).range_max_m)
     folder = output_folder(options.out)
     with Simulator(scene, sonar, acoustics, tolerance=options.tolerance) as simulator:
         if not in_demarco or "npz" in options.formats:  # the paper's picture is made of points alone
             simulator.plan(poses)  # before the first ping, so that no ping depends on those before it
+        _note_bodies_beyond(scene, poses, acoustics.true_range_sonar(sonar).range_max_m)
         writer = FrameWriter(
             simulator=simulator,
             style=style,

@@ -59,8 +59,8 @@ def bodies_beyond(bodies: Iterable[Body], places: np.ndarray, range_m: float) ->
     out = []
     for body in bodies:
         low, high = body_bounds(body)
-        aside = np.maximum(np.maximum(low - places, places - high), 0.0)
-        if np.linalg.norm(aside, axis=1).min() > range_m:
+        x, y, z = np.maximum(np.maximum(low - places, places - high), 0.0).T
+        if np.hypot(np.hypot(x, y), z).min() > range_m:
             out.append(body.name)
     return out
 

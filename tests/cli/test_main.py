@@ -131,13 +131,13 @@ def test_every_format_has_a_file():
 
 
 def test_range_keeps_the_bin_and_bins_sets_their_number():
-    render("--range", 4.5, "--format", "npz")
+    render("--range", 5.5, "--format", "npz")
     got = ping()
-    assert got.meta["sonar"]["range_max_m"] == 4.5 and got.intensity.shape == (24, 40)
+    assert got.meta["sonar"]["range_max_m"] == 5.5 and got.intensity.shape == (24, 50)
     assert got.bin_size_m == pytest.approx(0.1, abs=1e-12)
-    render("--range", 4.5, "--bins", 16, "--format", "npz")
+    render("--range", 5.5, "--bins", 16, "--format", "npz")
     got = ping()
-    assert got.intensity.shape == (24, 16) and got.bin_size_m == pytest.approx(0.25, abs=1e-12)
+    assert got.intensity.shape == (24, 16) and got.bin_size_m == pytest.approx(0.3125, abs=1e-12)
 
 
 def test_pose_takes_the_place_of_the_scenes():

@@ -263,8 +263,10 @@ def test_a_sequence_is_nearly_empty_if_all_its_pictures_are():
     Path("away.csv").write_text(header + "0,0,0,0,0,0,0\n1,-3.6,0,0,0,0,0\n")
     assert run(*sequence)[2] == ""
     Path("away.csv").write_text(header + "0,-3.7,0,0,0,0,0\n1,-3.6,0,0,0,0,0\n")  # the box alone is in range
-    err = run(*sequence)[2]
-    assert err.startswith("warning: all pictures are nearly empty: ") and err.count("\n") == 1
+    note, warning = run(*sequence)[2].splitlines()
+    assert note.endswith(" m; beyond it: wall") and warning.startswith(
+        "warning: all pictures are nearly empty: "
+    )
 
 
 def test_a_hull_that_stays_behind_is_warned_of():
