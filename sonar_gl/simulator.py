@@ -200,7 +200,8 @@ class Simulator:
         Warns
         -----
         UserWarning
-            if the ping has no echo; the message names the nearest surface and why it returned none.
+            if the ping has no echo; the message names the nearest surface and why it returned none. Of pings in a row
+            without echo the first five are warned of; `meta["has_echo"]` tells of each.
         sonar_gl.sonar.sampling.ToleranceWarning
             if the tolerance cannot be met; a UserWarning, too.
         """

@@ -212,7 +212,7 @@ class PingReport(NamedTuple):
     ----------
     origin : SampleOrigin
     error_estimate : estimated error; None without one
-    no_echo : why there is no echo; None if there is one
+    no_echo : why there is no echo; None if there is one, or where several pings before it have been explained
     """
 
     origin: SampleOrigin

@@ -16,11 +16,40 @@ from sonar_gl.sonar.fan import SURFACE_MARGIN_M
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sonar import Sonar
 
+MOST_IN_A_ROW = 5  # warnings of pings without echo
 WIDEST_WEDGE_DEG = 30.0  # whose planar ends reach beyond the elevations of the fan by 3 % at most
 
 
 class NoEchoWarning(UserWarning):
     """A ping has no echo."""
+
+
+class SilentPings:
+    """Counts the pings without echo in a row: the first MOST_IN_A_ROW are explained.
+
+    To explain takes many times as long as such a ping, and a vehicle in open water has thousands.
+    """
+
+    def __init__(self):
+        self._in_a_row = 0
+
+    def start_again(self) -> None:
+        """Have the next ping be the first in a row."""
+        self._in_a_row = 0
+
+    def is_to_explain(self, total: float) -> bool:
+        """Return whether the next ping, with this sum of its echo, is to be explained."""
+        return total <= 0 and self._in_a_row < MOST_IN_A_ROW
+
+    def add(self, total: float) -> None:
+        """Count a ping, with this sum of its echo."""
+        self._in_a_row = self._in_a_row + 1 if total <= 0 else 0
+
+    def explained(self, reason: str) -> str:
+        """Return the text of a warning for the last ping; that of the last one in a row says so."""
+        if self._in_a_row < MOST_IN_A_ROW:
+            return reason
+        return f"{reason}; said of {MOST_IN_A_ROW} pings in a row, and no more until one has an echo"
 
 
 def why_no_echo(

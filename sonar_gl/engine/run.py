@@ -18,7 +18,7 @@ from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.image_sampling import ImageSampling, MultipathEcho
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import ImageSources
-from sonar_gl.engine.no_echo import why_no_echo
+from sonar_gl.engine.no_echo import SilentPings, why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sampler import FixedSampling
@@ -44,6 +44,7 @@ class Run:
     instrument : Instrument
     sampler : Sampler, which chooses the resolution of each ping
     image_sampling : ImageSampling, which chooses how finely image sources are sampled
+    silent_pings : SilentPings, which chooses of which pings a warning says why they have no echo
     tolerance : as given, whether or not the sampler keeps it
     """
 
@@ -57,6 +58,7 @@ class Run:
         self._idle_workers = []  # PingWorkers of past sequences
         self._origin, self._described = None, None  # a SampleOrigin, and the scene that it describes
         self._image_sources, self.tolerance = None, tolerance
+        self.silent_pings = SilentPings()
         self.image_sampling = ImageSampling(tolerance, each_alone=sampling is not None)
         try:
             self.instrument = Instrument(sonar, acoustics)
@@ -327,10 +329,12 @@ class Run:
         """
         setup = received.drawn.setup
         self._warn_of_body(setup)
-        no_echo = None
-        if received.total <= 0:
+        no_echo, is_to_explain = None, self.silent_pings.is_to_explain(received.total)
+        self.silent_pings.add(received.total)
+        if is_to_explain:
             instrument, view = self.instrument, received.drawn.view.sectors
-            no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
+            why = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
+            no_echo = self.silent_pings.explained(why)
         estimate, echo = self._direct_error(received), self._multipath_of(received)
         if estimate is not None:
             self.image_sampling.warn_if_unmet(echo)

@@ -92,6 +92,7 @@ class LiveSonar:
                 time_s=request.place.time_s,
                 **labels,
             )
+            simulator.run.silent_pings.start_again()  # each frame says why it has no echo
             ping = make_ping(simulator.run, wanted)
             place_notes = self._notes_of_place(simulator, request)
         device = settings.device

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.engine.no_echo import MOST_IN_A_ROW
 from sonar_gl.imaging.styles import FanStyle
 from sonar_gl.live import live_sonar as live_sonar_module
 from sonar_gl.live import ping_thread as ping_thread_module
@@ -111,10 +112,11 @@ def test_the_rate_is_that_of_the_last_pings_since_somebody_listens_with_these_se
             assert frames[k].rate_hz == pytest.approx((len(recent) - 1) / (recent[-1] - recent[0]))
 
 
-def test_no_echo_is_explained(scene):
+def test_no_echo_is_explained_in_each_frame(scene):
     with LiveSession(scene, QUIET, sg.pose(yaw=math.pi)) as session:
-        (note,) = session.frame.notes
-    assert "no echo" in note
+        frames = [session.frame, *(session.next_frame() for _ in range(MOST_IN_A_ROW))]
+    assert all(len(frame.notes) == 1 and frame.notes == frames[0].notes for frame in frames)
+    assert "no echo" in frames[0].notes[0] and "in a row" not in frames[0].notes[0]
 
 
 def test_a_sonar_inside_a_body_or_in_the_air_is_told_in_each_frame_in_which_it_rests(scene):
