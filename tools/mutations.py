@@ -928,8 +928,8 @@ MUTATIONS = (
     ),
     Mutation(
         "triangles/lobes of flat faces left out",
-        "FLAT if body_rows[body, 14] > np.float32(0.0) else EVEN",
-        "EVEN",
+        "FLAT if has_lobe else FLAT_DIFFUSE",
+        "FLAT_DIFFUSE",
         TRIANGLES,
     ),
     # culling and levels of detail
