@@ -400,6 +400,12 @@ MUTATIONS = (
         ("test_beam_pattern",),
     ),
     Mutation(
+        "fan/taper without a series",
+        'if taper != "taylor":',
+        "if False:",
+        ("test_beam_pattern::test_a_taper_without_a_series_is_not_taken_for_taylors",),
+    ),
+    Mutation(
         "fan/behind a straight array",
         'if sonar.steered == "straight" and not beams.is_box:',
         "if False:",
@@ -925,6 +931,12 @@ MUTATIONS = (
         "if normal_forms.shape[0] > 0 and _has_normals(normals, start, f, faces):",
         "if normal_forms.shape[0] > 0 and normals[f, 0] > 2.0:",
         TRIANGLES,
+    ),
+    Mutation(
+        "triangles/columns of a body",
+        "ROW_REFLECTIVITY, ROW_STRENGTH, ROW_SLOPE = 12, 14, 15",
+        "ROW_REFLECTIVITY, ROW_STRENGTH, ROW_SLOPE = 12, 15, 14",
+        ("test_engines::test_the_rasteriser_reads_the_columns_that_scenes_write",),
     ),
     Mutation(
         "triangles/lobes of flat faces left out",
