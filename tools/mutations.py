@@ -400,6 +400,12 @@ MUTATIONS = (
         ("test_beam_pattern",),
     ),
     Mutation(
+        "fan/taper without a series",
+        'if taper != "taylor":',
+        "if False:",
+        ("test_beam_pattern::test_a_taper_without_a_series_is_not_taken_for_taylors",),
+    ),
+    Mutation(
         "fan/behind a straight array",
         'if sonar.steered == "straight" and not beams.is_box:',
         "if False:",
@@ -927,9 +933,15 @@ MUTATIONS = (
         TRIANGLES,
     ),
     Mutation(
+        "triangles/columns of a body",
+        "ROW_REFLECTIVITY, ROW_STRENGTH, ROW_SLOPE = 12, 14, 15",
+        "ROW_REFLECTIVITY, ROW_STRENGTH, ROW_SLOPE = 12, 15, 14",
+        ("test_engines::test_the_rasteriser_reads_the_columns_that_scenes_write",),
+    ),
+    Mutation(
         "triangles/lobes of flat faces left out",
-        "FLAT if body_rows[body, 14] > np.float32(0.0) else EVEN",
-        "EVEN",
+        "FLAT if has_lobe else FLAT_DIFFUSE",
+        "FLAT_DIFFUSE",
         TRIANGLES,
     ),
     # culling and levels of detail

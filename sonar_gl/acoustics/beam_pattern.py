@@ -34,6 +34,11 @@ def taper_series(taper: str, side_lobe_db: float) -> tuple[float, ...]:
     -----
     Taylor's n̄ is the least that he allows, 2A² + 1/2, and at least 4; πA = arcosh 10^(side_lobe_db/20).
 
+    Raises
+    ------
+    ValueError
+        if the taper has no such series, as "chebyshev", whose pattern `ArrayPattern` has.
+
     Source: Taylor, "Design of line-source antennas for narrow beamwidth and low side lobes", IRE Trans.
     Antennas Propag. 3, 16-28, 1955; Harris, "On the use of windows for harmonic analysis with the discrete
     Fourier transform", Proc. IEEE 66, 51-83, 1978 (Hamming)
@@ -45,6 +50,10 @@ def taper_series(taper: str, side_lobe_db: float) -> tuple[float, ...]:
         return ()
     if taper == "hamming":
         return (HAMMING,)
+    if taper != "taylor":  # whose side lobes would be taken for those of the other
+        raise ValueError(
+            f"taper must be one with a series (got {taper!r}; ArrayPattern has the patterns of others)"
+        )
     a2 = (math.acosh(10 ** (side_lobe_db / 20)) / math.pi) ** 2
     n_bar = max(4, round(2 * a2 + 0.5))
     stretch2 = n_bar**2 / (a2 + (n_bar - 0.5) ** 2)
@@ -172,7 +181,7 @@ class ArrayPattern:
     ----------
     shape : "line_array" or "gaussian"
     width_rad : −3 dB full width, radians, 0..π
-    taper, side_lobe_db : of the line array, as for `taper_series`, and "chebyshev"
+    taper, side_lobe_db : of the line array, as `Sonar.receive_taper` and `Sonar.side_lobe_db`
     two_way_width : whether `width_rad` is the width of the two-way pattern, of a transmitter and a receiver
         that are both such arrays, instead of the one-way width
     """
@@ -347,8 +356,7 @@ def line_array_pattern(
     ----------
     azimuth_rad, steer_azimuth_rad : direction and axis of the beam, radians, shapes that broadcast
     beam_width_rad : −3 dB full width of the unsteered beam, radians, 0..π
-    taper : "uniform", "hamming", "taylor" or "chebyshev"
-    side_lobe_db : level of the side lobes of "taylor" and "chebyshev", dB below the main lobe
+    taper, side_lobe_db : as `Sonar.receive_taper` and `Sonar.side_lobe_db`
     steered : "alike": u = sin(ψ − ψ0), since a data sheet gives one width, and curved or many-faced arrays
         keep it over the fan. "straight": u = sin ψ − sin ψ0, as for one straight array: the width grows as
         1/cos ψ0, by 1.414 at 45° and 2.366 at 65°

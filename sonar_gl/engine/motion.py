@@ -36,20 +36,20 @@ def check_velocity(velocity) -> np.ndarray | None:
     return out
 
 
-def _nearer(azimuth_rad, velocity, sound_speed_m_s):
+def _range_factor(azimuth_rad, velocity, sound_speed_m_s):
     """Return the range that is shown over that at rest, see `shown_in_motion`.
 
-    >>> float(round(30.0 * _nearer(0.0, [2.0, 0, 0, 0, 0, 0.5], 1500.0), 4))
+    >>> float(round(30.0 * _range_factor(0.0, [2.0, 0, 0, 0, 0, 0.5], 1500.0), 4))
     29.9601
     """
     ahead = velocity[0] * np.cos(azimuth_rad) + velocity[1] * np.sin(azimuth_rad)
     return 1 / (1 + ahead / sound_speed_m_s)
 
 
-def _turned(azimuth_rad, shown_m, velocity, sound_speed_m_s, set_speed_m_s):
+def _bearing_change_rad(azimuth_rad, shown_m, velocity, sound_speed_m_s, set_speed_m_s):
     """Return the bearing at a range that is shown, less that at rest, see `shown_in_motion`.
 
-    >>> float(round(_turned(0.0, 29.9601, [2.0, 0, 0, 0, 0, 0.5], 1500.0, 1500.0), 4))
+    >>> float(round(_bearing_change_rad(0.0, 29.9601, [2.0, 0, 0, 0, 0, 0.5], 1500.0, 1500.0), 4))
     -0.02
     """
     aside = velocity[1] * np.cos(azimuth_rad) - velocity[0] * np.sin(azimuth_rad)
@@ -130,13 +130,13 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     edges = sonar.range_min_m + ping.bin_size_m * np.arange(len(r) + 1)
     # first along each beam, then, as it depends on the range that is shown, across the beams
     width = np.diff(azimuth)[:, None].astype(np.float32)
-    nearer, even = _nearer(own, velocity, sound_speed), np.ones(len(r))
-    aside = azimuth + _turned(azimuth, 0.0, velocity, *speeds)
-    turned = _turned(0.0, r, velocity, *speeds) - _turned(0.0, 0.0, velocity, *speeds)
+    factor, even = _range_factor(own, velocity, sound_speed), np.ones(len(r))
+    aside = azimuth + _bearing_change_rad(azimuth, 0.0, velocity, *speeds)
+    turned = _bearing_change_rad(0.0, r, velocity, *speeds) - _bearing_change_rad(0.0, 0.0, velocity, *speeds)
 
     def shown(power: np.ndarray) -> np.ndarray:
         along, across = (np.zeros(shape, np.float32) for shape in (power.shape, power.shape[::-1]))
-        _redistribute(power, edges, nearer, np.zeros(len(own)), edges, 0.0, along)
+        _redistribute(power, edges, factor, np.zeros(len(own)), edges, 0.0, along)
         _redistribute(
             np.ascontiguousarray((along * width).T), aside, even, turned, azimuth, WHOLE_TURN, across
         )
@@ -145,10 +145,10 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     labels = {name: getattr(ping, name) for name in BIN_LABELS if getattr(ping, name) is not None}
     if labels:
         # where the middle of each cell was at rest, to the first order
-        was = own[:, None] - _turned(own[:, None], r, velocity, *speeds)
+        was = own[:, None] - _bearing_change_rad(own[:, None], r, velocity, *speeds)
         was = (was - azimuth[0]) % WHOLE_TURN + azimuth[0]
         beam = np.searchsorted(azimuth, was, side="right") - 1
-        bin_ = np.searchsorted(edges, r / _nearer(was, velocity, sound_speed), side="right") - 1
+        bin_ = np.searchsorted(edges, r / _range_factor(was, velocity, sound_speed), side="right") - 1
         inside = (beam >= 0) & (beam < len(own)) & (bin_ >= 0) & (bin_ < len(r))
         cell = beam.clip(0, len(own) - 1), bin_.clip(0, len(r) - 1)
         for name, array in labels.items():  # those of the nearest cell

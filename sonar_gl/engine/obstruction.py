@@ -121,7 +121,7 @@ def _is_beside(frustum: np.ndarray, sphere: Sphere) -> bool:
 
 
 def _edges_of(surface) -> np.ndarray:
-    """Return the edges of all faces, of many faces those of every so-manieth: (m, 2, 3) float64."""
+    """Return the edges of all faces, of many faces those of every nth: (m, 2, 3) float64."""
     faces = np.asarray(surface.faces)
     ends = faces[:: 1 + len(faces) // MAX_CLIPPED_FACES, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     return np.asarray(surface.vertices, np.float64)[ends]

@@ -266,7 +266,7 @@ def _write_gif(path: Path, first: np.ndarray, rest: Iterator[np.ndarray], fps: f
             if shown <= MAX_GIF_HUNDREDTHS:
                 image, before = with_palette(frame), frame
             else:  # Pillow joins equal pictures, of any number: one that shows what is there begins another
-                image, before = _see_through(Image, frame), None
+                image, before = _transparent_picture(Image, frame), None
             image.info["duration"] = 10 * hundredths
             yield image
 
@@ -274,7 +274,7 @@ def _write_gif(path: Path, first: np.ndarray, rest: Iterator[np.ndarray], fps: f
     next(images).save(path, format="GIF", save_all=True, append_images=images, loop=0)
 
 
-def _see_through(module, frame: np.ndarray):
+def _transparent_picture(module, frame: np.ndarray):
     """Return a transparent picture of `PIL.Image`, whose hidden colour the frame's first pixel does not have."""
     image = module.new("P", frame.shape[1::-1])
     image.putpalette([255 - int(value) for value in np.broadcast_to(frame[0, 0], 3)])

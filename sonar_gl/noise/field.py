@@ -325,8 +325,11 @@ class FieldNoise:
         sonar, acoustics = self._ping.sonar, self._ping.acoustics
         width_rad = None if sonar is None else float(np.radians(sonar.beam_width_deg))
         tapered = acoustics is not None and acoustics.beam_pattern == "line_array"
-        # a Chebyshev array counts as Taylor's of the same side lobes
-        series = taper_series(sonar.receive_taper, sonar.side_lobe_db) if tapered and sonar else ()
+        series = ()
+        if tapered and sonar:
+            # a Chebyshev array, which has no series, counts as Taylor's of the same side lobes
+            taper = "taylor" if sonar.receive_taper == "chebyshev" else sonar.receive_taper
+            series = taper_series(taper, sonar.side_lobe_db)
         pulse_weights = None if self._pulse is None else field_weights(self._ping.bin_size_m, *self._pulse)
         azimuth_rad = tuple(np.asarray(self._ping.azimuth_rad, np.float64).tolist())
         return FieldCorrelation(azimuth_rad, width_rad, series, pulse_weights)

@@ -99,7 +99,7 @@ class PublisherCounts:
 
 
 @dataclass(frozen=True)
-class _Order:
+class _DuePing:
     """A ping to make.
 
     Attributes
@@ -318,7 +318,7 @@ class Publisher:
         if not self._is_placed:
             self._place_fixed(time_ns)
             self._is_placed = True
-        self._heed(pose, bodies)
+        self._take_poses(pose, bodies)
         if self._pose is None:
             self._tick(time_ns)
             self._report()
@@ -329,9 +329,9 @@ class Publisher:
         self._tick(time_ns, slot.is_due)
         if slot.is_due:
             is_own = self._is_own_pose and self._are_own_bodies
-            order = _Order(time_ns, self._pose, self._moved, is_own)
+            due = _DuePing(time_ns, self._pose, self._moved, is_own)
             self._moved = {}
-            self._work = self._executor.submit(self._ping, order)
+            self._work = self._executor.submit(self._ping, due)
             if not self._in_background:
                 self._finish()
         self._report()
@@ -355,7 +355,7 @@ class Publisher:
             self._clock_ns = time_ns
             self._send("clock", self._types.clock(time_ns), time_ns)
 
-    def _heed(self, pose, bodies: dict | None) -> None:
+    def _take_poses(self, pose, bodies: dict | None) -> None:
         """Keep the poses of the caller, or those that came by messages."""
         # all is checked before anything is kept
         own, moved = None if pose is None else check_pose(pose), self._checked(bodies)
@@ -385,12 +385,12 @@ class Publisher:
 
     # ---- a ping, in the thread of the simulation -------------------------------------------------------
 
-    def _ping(self, order: _Order) -> Ping | None:
+    def _ping(self, due: _DuePing) -> Ping | None:
         """Make a ping, publish and return it; None if it cannot be made."""
-        settings, time_ns = self.settings, order.time_ns
-        pose = order.vehicle_pose @ settings.vehicle_from_sonar
-        if order.bodies:
-            self._simulator.place(order.bodies)
+        settings, time_ns = self.settings, due.time_ns
+        pose = due.vehicle_pose @ settings.vehicle_from_sonar
+        if due.bodies:
+            self._simulator.place(due.bodies)
         try:
             with collected_warnings(NoEchoWarning):  # a device does not say that it sees nothing
                 ping = self._simulator.ping(
@@ -399,11 +399,11 @@ class Publisher:
         except MachineError:
             raise
         except Error as why:
-            if order.is_own:
+            if due.is_own:
                 raise
             self._fail(why)
             return None
-        self._place(order)
+        self._place(due)
         for kind, message in self._messages_of(ping, time_ns):
             self._send(kind, message, time_ns)
         self._n_pings += 1
@@ -444,13 +444,13 @@ class Publisher:
         for transport in self._transports:
             publish_static(transport, self._topics["tf_static"], links, time_ns)
 
-    def _place(self, order: _Order) -> None:
+    def _place(self, due: _DuePing) -> None:
         """Publish where the vehicle is, or the sonar."""
         if "tf" in self._topics:
             settings = self.settings
-            link = settings.world_frame, settings.vehicle or settings.frame, order.vehicle_pose
-            message = self._types.transforms([self._types.transform(order.time_ns, *link)])
-            self._send("tf", message, order.time_ns)
+            link = settings.world_frame, settings.vehicle or settings.frame, due.vehicle_pose
+            message = self._types.transforms([self._types.transform(due.time_ns, *link)])
+            self._send("tf", message, due.time_ns)
 
     def _messages_of(self, ping: Ping, time_ns: int) -> Iterator[tuple[str, object]]:
         """Yield the messages of a ping with their kinds."""

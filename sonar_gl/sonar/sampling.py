@@ -107,7 +107,7 @@ def level_of(sonar: Sonar, n_samples: int) -> int:
 
 
 def typical_level(tolerance: float) -> int:
-    """Return the sampling level that most scenes need for a tolerance."""
+    """Return the sampling level that most scenes need for a tolerance: of 0.2 degrees for 0.02."""
     finer = COARSEST_DEG / 0.2 * (0.02 / tolerance) ** (1 / ERROR_RATE)
     return min(max(0, round(LEVELS_PER_HALF * math.log2(finer))), FINEST_LEVEL)
 

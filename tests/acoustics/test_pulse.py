@@ -19,6 +19,7 @@ from sonar_gl.acoustics.pulse import (
     matched_filter,
     resolution_cell_m,
 )
+from sonar_gl.sonar.sonar import CHOICES
 from tests.support.threads import counting_thread
 
 BANDWIDTH_HZ, SPEED_M_S = 30e3, 1500.0
@@ -41,6 +42,10 @@ def test_width_null_and_side_lobes_of_the_response(taper, width, first_null, sid
     assert power(first_null, taper) == pytest.approx(0, abs=1e-20)
     beyond = power(np.linspace(first_null, 40, 400_001), taper)
     assert 10 * np.log10(beyond.max()) == pytest.approx(side_lobe_db, abs=1e-4)
+
+
+def test_each_pulse_taper_of_a_sonar_has_a_series():
+    assert tuple(PULSE_TAPERS) == CHOICES["pulse_taper"]
 
 
 @pytest.mark.parametrize("taper", PULSE_TAPERS)

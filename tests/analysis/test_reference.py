@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.acoustics.acoustics import SWITCHES
 from sonar_gl.acoustics.boundary import cos_incidence
 from sonar_gl.core.extras import install_command
 from tests.support.closed_forms import box_beams, cylinder_echo, plane_echo, plate_on_floor_echo, sphere_echo
@@ -364,6 +365,17 @@ def test_too_few_rays_warn():
 
 
 SCENE = sg.Scene([])
+
+
+MODELLED = {"conical_beams", "far_side_lobes", "transmit_beam", "pulse", "specular", "cross_talk"}
+REFUSED = {"bubbles", "volume_reverberation", "surface_reverberation"}
+
+
+def test_the_reference_models_or_refuses_each_switch():
+    """A ping with a new term would be held to be wrong, by a reference that lacks it."""
+    assert set(SWITCHES) == MODELLED | REFUSED, (
+        "have the reference model a new term, or refuse it in `check_known`"
+    )
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from sonar_gl.batch import requests as batch_requests
 from sonar_gl.batch import survey as survey_module
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
-from sonar_gl.batch.job import Job, read_job
+from sonar_gl.batch.job import LOCATION_KEYS, Job, read_job
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
 from sonar_gl.batch.parts import Batch
 from sonar_gl.batch.pool import IN_PROGRESS
@@ -37,6 +37,7 @@ from sonar_gl.batch.steps import begin, create_store, finalize, make_part
 from sonar_gl.batch.store import PingTable
 from sonar_gl.batch.survey import survey, try_pings
 from sonar_gl.batch.trajectories import SectorScan
+from sonar_gl.core.toml_tables import Table
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine import pipeline, sequence
 from sonar_gl.engine.flow import Plan
@@ -1866,11 +1867,24 @@ def test_the_attributes_of_a_set_hold_its_sonars_and_classes(small, requests):
     assert (found["classes"], found["class_of_body"]) == (["fixed", "target"], [1, 2, 1])
 
 
+def test_the_page_of_batches_states_the_keys_of_a_job():
+    page = (Path(__file__).parents[2] / "docs" / "batch.md").read_text()
+    rows = page.partition("| key | meaning |")[2].partition("\n\n")[0]
+    stated = set(
+        re.findall(r"`\[*(\w+)", " ".join(row.split("|")[1] for row in rows.strip().splitlines()[1:]))
+    )
+    assert stated == set(Job.model_fields) - set(LOCATION_KEYS), "the table of keys in docs/batch.md"
+
+
 def test_the_page_of_batches_states_the_keys_of_the_outputs():
     page = (Path(__file__).parents[2] / "docs" / "batch.md").read_text()
     section = page.partition("### Keys of the outputs")[2].partition("### ")[0]
     rows = re.findall(r"^\| `\[(\w+)\]` \| (.*) \|$", section, re.M)
-    assert sorted(name for name, _ in rows) == ["arrays", "coco", "labels", "optical", "pictures", "ros"]
+    kinds = {name: field.annotation for name, field in Job.model_fields.items() if name != "vary"}
+    tables = {name for name, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, Table)}
+    assert {name for name, _ in rows} == tables, (
+        "docs/batch.md must have a row of each table of Job, and no other"
+    )
     for name, keys in rows:
         settings = Job.model_fields[name].annotation.model_fields
         known = {key: field.get_default() for key, field in settings.items()}

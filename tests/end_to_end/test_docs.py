@@ -290,6 +290,22 @@ def test_names_of_the_package_exist(page):
         assert (ROOT / path).exists(), path
 
 
+def test_names_of_code_in_the_architecture_exist():
+    """Half of the page says where to add what, by names that a reader looks up, and that others rename."""
+    page = text_of(ROOT / "docs" / "architecture.md")
+    code = re.findall(r"^```text$(.*?)^```", page, re.DOTALL | re.MULTILINE) + re.findall(
+        r"`([^`\n]+)`", page
+    )
+    named = set(re.findall(r"\b\w*(?:[a-z]_[a-z]|[a-z][A-Z]|[A-Z]_[A-Z])\w*", " ".join(code)))
+    assert len(named) > 200
+    endings = {".py", ".pyi", ".glsl", ".vert", ".frag", ".geom", ".toml"}
+    for folder in ("sonar_gl", "shaders", "tests", "tools"):
+        for path in (ROOT / folder).rglob("*"):
+            if path.suffix in endings:
+                named -= {path.stem, *re.findall(r"\w+", text_of(path))}
+    assert named == set(), "docs/architecture.md must name what exists: these were renamed or removed"
+
+
 def test_constants_of_the_method_exist():
     modules = [
         importlib.import_module(module.name)

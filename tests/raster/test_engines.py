@@ -10,9 +10,12 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.beamform.kernels import range_bins
 from sonar_gl.engine import world
+from sonar_gl.raster import cull
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu import engine as cpu
+from sonar_gl.raster.cpu import visibility_buffer as rasteriser
 from sonar_gl.raster.cull import SectorGeometry
+from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import SectorView
 from sonar_gl.scene import primitives
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M
@@ -124,6 +127,15 @@ def compare(scene, sonar, pose, samples, drawn) -> Difference:
 def both_engines(scene, sonar, pose, sampling=SAMPLING):
     """Return the samples of the CPU and of OpenGL."""
     return [draw_sectors(scene, sonar, pose, engine, sampling) for engine in ("cpu", "opengl")]
+
+
+def test_the_rasteriser_reads_the_columns_that_scenes_write():
+    box = sg.Body("box", trimesh.creation.box(), reflectivity=0.25, specular=0.5, roughness_rad=0.125)
+    meshes = SceneMeshes()
+    meshes.add([box])
+    columns = [rasteriser.ROW_REFLECTIVITY, rasteriser.ROW_STRENGTH, rasteriser.ROW_SLOPE]
+    assert meshes.rows[0, columns].tolist() == [0.25, 0.5, 0.125]
+    assert columns[:2] == [cull.REFLECTIVITY, cull.LOBE]
 
 
 @pytest.mark.slow

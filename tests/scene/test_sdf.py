@@ -1,9 +1,11 @@
 """SDF: poses, the choice of shapes, the sonar, includes, extensions, and error messages."""
 
+import dataclasses
 import os
 import re
 import warnings
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,10 +15,12 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose
+from sonar_gl.scene.joined_shapes import SurfaceKind
 from sonar_gl.scene.materials import material
 from sonar_gl.scene.primitives import closedness
 from sonar_gl.scene.sdf import extensions, frames, reader, resources
 from sonar_gl.scene.sdf.reader import read_sdf
+from sonar_gl.scene.sdf.shapes import EXTENSIONS
 
 ROUNDING = 1e-12  # of a few products of float64 matrices
 BOX = "<geometry><box><size>2 4 6</size></box></geometry>"
@@ -34,6 +38,22 @@ def no_environment(monkeypatch, tmp_path):
         monkeypatch.delenv(key, raising=False)
     monkeypatch.setenv("GZ_FUEL_CACHE_PATH", str(tmp_path / "gz"))
     monkeypatch.setenv("IGN_FUEL_CACHE_PATH", str(tmp_path / "ign"))
+
+
+def test_each_property_of_a_whole_surface_keeps_shapes_apart():
+    """Shapes of one link that differed in a property that SurfaceKind lacked would be one body, without it."""
+    of_each_shape = {"name", "mesh", "pose", "reflectivity", "normals", "material"}
+    properties = {field.name for field in dataclasses.fields(sg.Body) if field.init} - of_each_shape
+    assert properties == set(SurfaceKind._fields), (
+        "add what a body has to SurfaceKind, and to what readers make of it"
+    )
+
+
+def test_the_page_of_conventions_has_a_row_of_each_tag_of_a_shape():
+    page = (Path(__file__).parents[2] / "docs" / "conventions.md").read_text()
+    section = page.partition("### Tags of this simulator")[2].partition("\n## ")[0]
+    told = re.findall(r"^\| `<sonar_gl:(\w+)>.*` \| collision or visual \|", section, re.MULTILINE)
+    assert sorted(told) == sorted(EXTENSIONS)
 
 
 def shape(tags="", name="c", kind="collision", geometry=BOX):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.core.poses import pose as make_pose
-from sonar_gl.sonar.sonar import Sonar
+from sonar_gl.sonar.sonar import CHOICES, TAPERS, Sonar
 from sonar_gl.sonar.sonar_files import PRESETS, load_sonar, presets
 from tests.support.errors import error_of
 
@@ -118,6 +118,23 @@ def test_the_file_of_presets_explains_every_key():
     header = PRESETS.read_text().split("[p900-45]")[0]
     unexplained = [field for field in Sonar.__dataclass_fields__ if f"#   {field} " not in header]
     assert unexplained == [], "the head of sonars.toml must explain these fields of Sonar"
+
+
+@pytest.mark.parametrize("name", sorted({name for names in CHOICES.values() for name in names}))
+def test_the_file_of_presets_and_the_docstring_name_every_choice(name):
+    """A taper that was added to TAPERS alone was told nowhere, and passed all tests."""
+    assert f'"{name}"' in PRESETS.read_text().split("[p900-45]")[0], (
+        f"the head of {PRESETS.name} must name it"
+    )
+    assert f'"{name}"' in Sonar.__doc__, "the docstring of Sonar must name it"
+
+
+def test_the_page_of_acoustics_has_a_row_of_every_taper():
+    page = (Path(__file__).parents[2] / "docs" / "acoustics.md").read_text()
+    rows = page.partition("| taper | side lobes |")[2].partition("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)`", rows, re.MULTILINE) == list(TAPERS), (
+        "docs/acoustics.md, the table of tapers"
+    )
 
 
 def test_the_file_of_presets_names_the_keys_that_a_table_must_have():

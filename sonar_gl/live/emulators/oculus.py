@@ -268,7 +268,7 @@ class OculusServer:
                     return
                 payload = await reader.readexactly(size)
                 if kind == FIRE:
-                    self._heed(program, version, payload)
+                    self._take_fire_message(program, version, payload)
         except (asyncio.IncompleteReadError, OSError):  # also that the network is lost
             pass
         finally:
@@ -276,7 +276,7 @@ class OculusServer:
             writer.close()
             logger.info("%s:%s is gone", *name[:2])
 
-    def _heed(self, program: _Program, version: int, payload: bytes) -> None:
+    def _take_fire_message(self, program: _Program, version: int, payload: bytes) -> None:
         """Ping with the settings of a program's fire message from now on; a wrong one changes nothing."""
         try:
             fire = parse_fire_message(version, payload)

@@ -90,13 +90,13 @@ class Actions:
         try:
             action()
         except Error as why:
-            self._complain(client, str(why))
+            self._report_failure(client, str(why))
         except Exception as why:
             text = f"{type(why).__name__}: {why}"
-            if self._complain(client, text):
+            if self._report_failure(client, text):
                 logger.exception("an action of the page failed")
 
-    def _complain(self, client, text: str) -> bool:
+    def _report_failure(self, client, text: str) -> bool:
         """Say in a browser why an action failed, and return True; not twice, as at each move of a pointer."""
         now_s = time.monotonic()
         if text == self._told and now_s - self._told_s < REPEAT_S:

@@ -158,7 +158,7 @@ class SceneNodes:
             self._picture_extent = extent
             return
         for part in self._pictures:
-            part.node.image = _see_through(part.pixels, frame.picture)
+            part.node.image = _with_alpha(part.pixels, frame.picture)
             part.node.visible = True
 
     def mark(self, surface: Surface | None, range_m: float) -> None:
@@ -302,7 +302,7 @@ class SceneNodes:
         pixels = sector.pixels()
         node = self._server.scene.add_image(
             name,
-            _see_through(pixels, picture),
+            _with_alpha(pixels, picture),
             sector.width_m,
             sector.height_m,
             format="png",
@@ -358,7 +358,7 @@ class SceneNodes:
         )
 
 
-def _see_through(pixels: PicturePixels, picture: np.ndarray) -> np.ndarray:
+def _with_alpha(pixels: PicturePixels, picture: np.ndarray) -> np.ndarray:
     """Return a part of a picture, (h, w, 4) uint8 RGBA: dark water lets the scene through, echoes do not."""
     colors = pixels.of(picture)
     alpha = (pixels.cover * np.maximum(120, colors.max(2))).astype(np.uint8)

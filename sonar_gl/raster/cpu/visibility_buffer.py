@@ -22,7 +22,10 @@ GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
 # samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
 FEW = 16
 MAX_PATCH_VERTICES = 6144 + 24  # three for each of MAX_PATCH_FACES; no multiple of a page of memory
-FLAT, EVEN = -1, -2  # of `Triangles.bodies`; EVEN has no specular lobe either
+# of `PlacedBodies.rows`, as in `sonar_gl/raster/cull.py`, whose constants these functions must not read
+ROW_REFLECTIVITY, ROW_STRENGTH, ROW_SLOPE = 12, 14, 15
+# of `Triangles.bodies`: faces without shading normals; the echo of FLAT_DIFFUSE is μ cos θ alone
+FLAT, FLAT_DIFFUSE = -1, -2
 NOTHING, SINGLE = -1, -2  # of `SectorSamples.face_id`
 BODY_STEP = 0x9E3779B1  # odd, and far from small multiples of 2^31
 # of a sample's echo: a lobe that is less may change from sample to sample as it likes
@@ -64,7 +67,7 @@ class PlacedBodies(NamedTuple):
     """Bodies as seen from one pose.
 
     matrices : (n, 3, 4) sonar_from_body
-    rows : (n, 16), of which 12 is the reflectivity, 14 and 15 strength and slope of the specular lobe
+    rows : (n, 16), of which ROW_STRENGTH and ROW_SLOPE are those of the specular lobe
     is_cut : (n,) bool, bodies that the clip plane cuts
     closed : (n,) 0 for open meshes
     outside : back faces of closed bodies are not visible
@@ -83,8 +86,8 @@ class Triangles(NamedTuple):
     """The triangles of a visibility buffer; overwritten.
 
     planes : (T, 4) float32: slopes of 1/x along u and v, distance of the plane (cos θ times range), reflectivity
-    bodies : (T, 3) int32: index of the body; row of `normals`, or FLAT, or EVEN; number of the face among those of all
-        bodies
+    bodies : (T, 3) int32: index of the body; row of `normals`, or FLAT, or FLAT_DIFFUSE; number of the face among those
+        of all bodies
     normals : (T', 9) normal over x, as a linear form of the sample's column and row, in the sector's frame; T' is T
         where meshes have shading normals, else 0
     """
@@ -548,12 +551,13 @@ def _write_triangle(form, view, vertices, start, f, faces, body, body_rows, tria
     """Write a triangle into row n of `triangles`: face `f` of a patch whose vertices begin at `start`."""
     (planes, bodies, normal_forms), (points, normals, reflectivity) = triangles, vertices
     _write_plane(view[2], view[5][0], view[6][0], form, planes, n)
-    planes[n, 3] = body_rows[body, 12]
+    planes[n, 3] = body_rows[body, ROW_REFLECTIVITY]
     if reflectivity.shape[0]:
         planes[n, 3] *= reflectivity[uint64(start) + uint64(faces[f, 0])]
     # the same whichever window is drawn; that two neighbours share it by chance is one case in 2^31
     bodies[n, 2] = np.int32((np.int64(f) + np.int64(body) * BODY_STEP) & 0x7FFFFFFF)
-    bodies[n, 0], bodies[n, 1] = body, FLAT if body_rows[body, 14] > np.float32(0.0) else EVEN
+    has_lobe = body_rows[body, ROW_STRENGTH] > np.float32(0.0)
+    bodies[n, 0], bodies[n, 1] = body, FLAT if has_lobe else FLAT_DIFFUSE
     if normal_forms.shape[0] > 0 and _has_normals(normals, start, f, faces):
         bodies[n, 1] = n
         _fit_normals(normals, start, f, faces, points, room.m, room.p, room.corners, normal_forms[n])
@@ -770,7 +774,7 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
             plane_echo[j, at, 1] = planes[t, 0]
             plane_echo[j, at, 2] = planes[t, 1]
             echo = np.float64(planes[t, 2])
-            if bodies[t, 1] == EVEN:
+            if bodies[t, 1] == FLAT_DIFFUSE:
                 plane_echo[j, at, 3] = planes[t, 3] * echo
             else:
                 x, y = np.float64(np.int64(i) + i0), np.float64(np.int64(j) + j0)
@@ -779,7 +783,8 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
                 if bodies[t, 1] >= 0:
                     echo = _shaded_echo(normal_forms, t, x, y, u, v, q, planes[t, 0], planes[t, 1], echo)
                 plane_echo[j, at, 3] = planes[t, 3] * echo
-                strength, slope = body_rows[bodies[t, 0], 14], body_rows[bodies[t, 0], 15]
+                body = bodies[t, 0]
+                strength, slope = body_rows[body, ROW_STRENGTH], body_rows[body, ROW_SLOPE]
                 of_lobe = _lobe_of(echo, u, v, q, strength, slope) if has_lobes else 0.0
                 if of_lobe > 0.0:
                     plane_echo[j, at, 3] += of_lobe
