@@ -1601,7 +1601,7 @@ def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
     write_job(tmp_path, 2, "[labels]\n")
     text = (tmp_path / "tank.sdf").read_text()
     (tmp_path / "other.sdf").write_text(
-        text.replace("box_1", "box_2").replace('world name="tank"', 'world name="o"')
+        text.replace("box_1", "rock_2").replace('world name="tank"', 'world name="o"')
     )
     job = read_job(tmp_path / "job.toml")
     job = job.model_copy(update={"scenes": ["tank.sdf", "other.sdf"]})
@@ -1611,10 +1611,10 @@ def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
     # there is a second between runs
     assert [request.time_s for request in requests] == pytest.approx([0, 0.2, 1.2, 1.4])
     schema = Schema(requests)
-    assert schema.bodies == ["wall", "box_1", "floor", "wall", "box_2", "floor"]
-    assert schema.classes == ["wall", "box", "floor"]
-    assert schema.class_id.tolist() == [0, 1, 2, 3, 1, 2, 3]
-    assert schema.scene_class_id(1)[:4].tolist() == [0, 1, 2, 3] and schema.first_body == [0, 3]
+    assert schema.bodies == ["wall", "box_1", "floor", "wall", "rock_2", "floor"]
+    assert schema.classes == ["wall", "box", "floor", "rock"]
+    assert schema.class_id.tolist() == [0, 1, 2, 3, 1, 4, 3]
+    assert schema.scene_class_id(1)[:4].tolist() == [0, 1, 4, 3] and schema.first_body == [0, 3]
 
 
 def test_moved_bodies_and_background_need_not_be_in_every_scene(tmp_path):
@@ -1884,6 +1884,12 @@ def test_bodies_whose_names_differ_by_a_final_number_are_one_class(tmp_path, mon
     schema = schema_of_bodies(tmp_path, monkeypatch, names)
     assert schema.classes == ["pile", "2nd pile", "7", "12"]  # a name that is a number stays
     assert schema.class_id.tolist() == [0, 1, 1, 1, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(("n_classes", "dtype"), [(255, "uint8"), (256, "uint16")])
+def test_the_numbers_of_classes_fit(tmp_path, monkeypatch, n_classes, dtype):
+    schema = schema_of_bodies(tmp_path, monkeypatch, [f"{k} m" for k in range(n_classes)])
+    np.testing.assert_array_equal(schema.class_id, np.arange(1 + n_classes, dtype=dtype), strict=True)
 
 
 def test_shadows_fall_on_what_is_named_like_a_floor_or_a_wall(tmp_path, monkeypatch):
