@@ -572,7 +572,9 @@ def test_a_body_without_a_clear_place_is_absent(tmp_path):
 
     def found(*tables):
         (request,) = BatchRequests(Job(**plain | {"vary": {"bodies": list(tables)}}))
-        assert request.reflectivity == {name: 0.5 for name, pose in request.bodies.items() if pose is not None}
+        assert request.reflectivity == {
+            name: 0.5 for name, pose in request.bodies.items() if pose is not None
+        }
         return {name: None if pose is None else round(pose[1, 3], 9) for name, pose in request.bodies.items()}
 
     one, two, three = ({"names": [f"box_{k}"]} | clear for k in (1, 2, 3))

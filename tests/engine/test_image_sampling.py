@@ -26,9 +26,7 @@ def echo_of(halvings, rows=100.0, difference=0.0, on_image=MANY, n_samples=1000)
     multipath, direct = (BeamEcho(np.full((1, 1), one, np.float32), one) for one in (1 + difference, 1.0))
     seen, imaged = (BodySamples(np.array([n]), np.array([1.0])) for n in (MANY, on_image))
     own = SimpleNamespace(fan=SimpleNamespace(n_samples=n_samples))
-    images = SimpleNamespace(
-        halvings=halvings, rows=rows, direct=seen, expected=seen, imaged=imaged, own=own
-    )
+    images = SimpleNamespace(halvings=halvings, rows=rows, direct=seen, expected=seen, imaged=imaged, own=own)
     return MultipathEcho(images, multipath, direct, 0.5 * TOLERANCE)
 
 
@@ -44,7 +42,8 @@ def reviewed(halvings, coarser=True, **more) -> int:
 def test_of_more_than_four_times_the_samples_the_whole_error_counts():
     """Else 0.7 of it, as that of the direct echo beside has room."""
     errors = [
-        echo_of(halvings).error_against(echo_of(halvings + 1, 50.0, 0.1)).error for halvings in (1, 0, -2, -3, -5)
+        echo_of(halvings).error_against(echo_of(halvings + 1, 50.0, 0.1)).error
+        for halvings in (1, 0, -2, -3, -5)
     ]
     np.testing.assert_allclose(np.divide(errors, errors[-1]), [0.7, 0.7, 0.7, 1, 1], rtol=1e-12)
 
