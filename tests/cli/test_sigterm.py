@@ -80,21 +80,21 @@ def test_a_later_signal_ends_what_the_first_has_not(unhandled, monkeypatch):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_that_the_caller_ignores_or_handles_ends_no_command(number, monkeypatch):
     """As shells have Ctrl-C ignored in the background, and nohup has SIGHUP."""
-    heard = []
+    handled = []
 
     def plan(*_):
         os.kill(os.getpid(), number)
         raise sg.Error("the command went on")
 
     monkeypatch.setattr(sg.Simulator, "plan", plan)
-    for handler in (signal.SIG_IGN, lambda *_: heard.append(number)):
+    for handler in (signal.SIG_IGN, lambda *_: handled.append(number)):
         before = signal.signal(number, handler)
         try:
             status, _, errors = run("render", "pylon")
         finally:
             signal.signal(number, before)
         assert status == 2 and errors.endswith("\nerror: the command went on\n")
-    assert heard == [number]
+    assert handled == [number]
 
 
 def test_a_command_that_renders_says_that_it_was_interrupted(unhandled, monkeypatch):
