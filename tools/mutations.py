@@ -1442,7 +1442,7 @@ MUTATIONS = (
         "store/rounding of labels",
         "np.int32(np.rint(value * per_step))",
         "np.int32(value * per_step)",
-        ENCODING,
+        ("test_store::test_the_greatest_number_is_told_from_a_missing_one",),
     ),
     Mutation(
         "store/pings of a chunk",
