@@ -86,6 +86,12 @@ SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("batch/test_batch",), ("test_simulator",)
 RESTS = ("batch/test_batch::test_bodies_rest_on_a_floor_however_they_turn",)
 CLEAR = ("batch/test_batch::test_bodies_keep_clear_of_each_other",)
+ABSENT = ("batch/test_batch::test_a_body_without_a_clear_place_is_absent",)
+BESIDE_FLOOR = ("batch/test_batch::test_what_rests_takes_plumes_along_and_keeps_its_height_beside_the_floor",)
+FIRST_PLACE = ("batch/test_batch::test_a_sonar_is_inside_a_body_where_the_first_ping_has_both",)
+EXTENT, SIGNALS, IMAGE_SAMPLING = ("test_extent",), ("test_sigterm",), ("test_image_sampling",)
+ROOM = ("test_workspace",)
+AGAIN = ("test_labels::test_samples_are_summed_again_where_there_was_too_little_room",)
 ESTIMATE = ("test_multipath::test_the_estimate_of_reflections_is_an_integral_over_the_fan",)
 EXPECTED = ("test_multipath::test_what_an_image_sees_of_a_body_is_expected_sample_by_sample",)
 BY_IMAGES = (
@@ -1448,7 +1454,7 @@ MUTATIONS = (
         "store/rounding of labels",
         "np.int32(np.rint(value * per_step))",
         "np.int32(value * per_step)",
-        ENCODING,
+        ("test_store::test_the_greatest_number_is_told_from_a_missing_one",),
     ),
     Mutation(
         "store/pings of a chunk",
@@ -2546,6 +2552,143 @@ MUTATIONS = (
         ("test_publisher",),
     ),
     Mutation("ros/time of a ping", "time_s=time_ns / 1e9", "time_s=time_ns / 1e6", ("test_publisher",)),
+    Mutation(
+        "batch/redrawn places of each ping",
+        "self._random(CLEARANCE_STREAM, number, k, n)",
+        "self._random(CLEARANCE_STREAM, k, n)",
+        CLEAR,
+    ),
+    Mutation(
+        "batch/redrawn places of each body",
+        "self._random(CLEARANCE_STREAM, number, k, n)",
+        "self._random(CLEARANCE_STREAM, number, k)",
+        CLEAR,
+    ),
+    Mutation(
+        "batch/draws after a place",
+        "more = self._random(CLEARANCE_STREAM, number, k, n)",
+        "more = random",
+        CLEAR,
+    ),
+    Mutation(
+        "batch/places that were left",
+        "for found in (bodies, reflectivity, taken):",
+        "for found in (bodies, reflectivity):",
+        ABSENT,
+    ),
+    Mutation(
+        "batch/reflectivity without a place", "is_present = poses[group[0]] is not None", "pass", ABSENT
+    ),
+    Mutation(
+        "batch/beside a floor",
+        "if math.isfinite(gap) else 0.0",
+        "if math.isfinite(gap) else shift[2]",
+        BESIDE_FLOOR,
+    ),
+    Mutation(
+        "batch/plumes that rest",
+        "for name in group if isinstance(known[name], Body)\n        ]",
+        "for name in group\n        ]",
+        BESIDE_FLOOR,
+    ),
+    Mutation(
+        "batch/sonar in a body that moves",
+        "poses = [request.bodies.get(body.name, body.pose) for body in bodies]",
+        "poses = [body.pose for body in bodies]",
+        FIRST_PLACE,
+    ),
+    Mutation(
+        "batch/sonar in an absent body",
+        "np.array([pose is not None for pose in poses], bool)",
+        "np.array([True for pose in poses], bool)",
+        FIRST_PLACE,
+    ),
+    Mutation(
+        "batch/place of a mounted sonar",
+        "present, (request.vehicle_pose @ mount)[:3, 3])",
+        "present, request.vehicle_pose[:3, 3])",
+        FIRST_PLACE,
+    ),
+    Mutation("batch/upright faces of a floor", "meets = (whole != 0) & (", "meets = (", EXTENT),
+    Mutation("batch/vertices of no face", "vertices[np.unique(faces)]", "vertices", EXTENT),
+    Mutation("batch/floor of many faces", "max(1, PAIRS // len(lower))", "PAIRS // len(lower)", EXTENT),
+    Mutation(
+        "render/heights beyond the range", "np.hypot(np.hypot(x, y), z).min()", "np.hypot(x, y).min()", EXTENT
+    ),
+    Mutation(
+        "store/classes of 16 bits",
+        "np.uint8 if len(self.classes) < 256 else",
+        "np.uint8 if len(self.classes) <= 256 else",
+        ("batch/test_batch::test_the_numbers_of_classes_fit",),
+    ),
+    Mutation(
+        "store/classes of a later scene",
+        "self.class_id[1 + first :]",
+        "self.class_id[1:]",
+        ("batch/test_batch::test_bodies_of_several_scenes_have_numbers_of_their_own",),
+    ),
+    Mutation(
+        "cli/signal of the caller",
+        "if signal.getsignal(signal.SIGINT) is signal.default_int_handler:",
+        "if True:",
+        SIGNALS,
+    ),
+    Mutation(
+        "cli/ignored hang-up",
+        'hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL',
+        'hasattr(signal, "SIGHUP")',
+        SIGNALS,
+    ),
+    Mutation("cli/signal after the end", "again.cancel()", "pass", SIGNALS),
+    Mutation(
+        "multipath/whole error of many samples",
+        "if self.images.halvings >= QUADRUPLED else 1.0",
+        "if self.images.halvings > QUADRUPLED else 1.0",
+        IMAGE_SAMPLING,
+    ),
+    Mutation(
+        "multipath/steps of many samples", "step = 1 if own > QUADRUPLED else 2", "step = 1", IMAGE_SAMPLING
+    ),
+    Mutation(
+        "multipath/step past what fits",
+        "wanted = max(own - step, _finest_for(echo.images))",
+        "wanted = own - step",
+        IMAGE_SAMPLING,
+    ),
+    Mutation("multipath/more without a comparison", "wanted = max(wanted, 0)", "pass", IMAGE_SAMPLING),
+    Mutation(
+        "multipath/error of a body that images see",
+        "of_imaged <= WORST_BODY * allowed",
+        "of_imaged <= allowed",
+        IMAGE_SAMPLING,
+    ),
+    Mutation(
+        "multipath/samples of a body that images see",
+        "max(of_direct, of_imaged) <= allowed",
+        "of_direct <= allowed",
+        IMAGE_SAMPLING,
+    ),
+    Mutation("labels/room that just suffices", "all(n <= of_room", "all(n < of_room", ROOM),
+    Mutation("labels/room that shrinks", "max(room.n_runs, 2 * needed.n_runs)", "2 * needed.n_runs", ROOM),
+    Mutation(
+        "labels/last number of the room",
+        "n_pool + MOMENTS * length <= pool.shape[0]",
+        "n_pool + MOMENTS * length < pool.shape[0]",
+        AGAIN,
+    ),
+    Mutation(
+        "labels/last run of the room",
+        "fits = n_runs < runs.shape[0] and",
+        "fits = n_runs + 1 < runs.shape[0] and",
+        AGAIN,
+    ),
+    Mutation("labels/slots one by one", "most_slots, slot = 2 * slot, slot - 1", "slot = slot - 1", AGAIN),
+    Mutation(
+        "triangles/lobes of the row before",
+        "if with_lobes:\n            lobes[:] = 0.0",
+        "if False:\n            lobes[:] = 0.0",
+        ("test_engines::test_views_of_lobes_alone_are_shaded_with_the_whole_view",),
+    ),
     Mutation("store/last body of 16 bits", "n_bodies < 65536 else", "n_bodies <= 65536 else", STORE),
     Mutation("store/steepest incidence", "math.pi / 2 / 254, 255", "math.pi / 2 / 255, 255", STORE),
 )

@@ -322,7 +322,7 @@ class Publisher:
         if self._pose is None:
             self._tick(time_ns)
             self._report()
-            return StepResult(waits_for_pose=True, ping=self._take_published())
+            return StepResult(waits_for_pose=True)  # nothing has been published yet
         slot = self._schedule.advance(time_ns, is_ready=self._work is None)
         self._n_dropped += slot.n_dropped
         self._n_jumps += slot.has_jumped

@@ -527,38 +527,84 @@ def test_bodies_rest_on_a_floor_however_they_turn(tmp_path):
 
 
 def test_bodies_keep_clear_of_each_other(tmp_path):
-    """Also of one that stays. A place that is clear at once is kept; where there is none, a body is absent."""
+    """Also of one that stays. A place that is clear at once is kept."""
     path = write_job(tmp_path, 200, "")
-    boxes = "".join(BOX.replace("box_1", f"box_{k}") for k in (1, 2, 3, 4))
+    y_m = {"box_1": 0.0, "box_2": 0.6, "box_3": 0.3, "box_4": 0.3}
+    boxes = "".join(BODY.format(name, f"3 {y} -0.3", "0.2 0.2 0.2") for name, y in y_m.items())
     (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{boxes}{WALL}</world></sdf>')
     plain = read_job(path).plain
 
     def found(side_m, **more):
         reach = {"x_m": [-side_m, side_m], "y_m": [-side_m, side_m], "yaw_rad": [-3.0, 3.0]}
         moved = {"names": ["box_1", "box_2", "box_3"], "apart": True, **reach, **more}
-        stays = {"names": ["box_4"], **more}
-        requests = BatchRequests(Job(**plain | {"vary": {"bodies": [stays, moved]}}))
+        tables = [{"names": ["box_4"], **more}, moved, {"names": ["wall"], "x_m": [0.0, 1.0]}]
+        requests = BatchRequests(Job(**plain | {"vary": {"bodies": tables}}))
         return [one.bodies for one in requests]
 
     def gaps_m(bodies):
-        """The largest gap, along x or y, of each pair that is there; the boxes are 0.2 m long, box_4 at (3, 0.3)."""
-        there = [pose for pose in bodies.values() if pose is not None] + [sg.pose(3, 0.3)]
+        """The largest gap, along x or y, of each pair; the boxes are 0.2 m long, box_4 at (3, 0.3)."""
+        there = [*bodies.values(), sg.pose(3, 0.3)]
         half_m = [0.1 * np.abs(pose[:2, :2]).sum(axis=1) for pose in there]
         pairs = itertools.combinations(range(len(there)), 2)
         return [(np.abs(there[a][:2, 3] - there[b][:2, 3]) - half_m[a] - half_m[b]).max() for a, b in pairs]
 
     free, clear = found(0.6), found(0.6, clearance_m=0.05)
-    n_kept = 0
+    walls_m = [[bodies.pop("wall")[0, 3] for bodies in pings] for pings in (free, clear)]
+    assert walls_m[0] == walls_m[1]  # no other draw depends on how often a body is redrawn
+    n_kept, redrawn = 0, []
     for before, after in zip(free, clear, strict=True):
         assert set(after) == {"box_1", "box_2", "box_3"} and all(pose is not None for pose in after.values())
         assert min(gaps_m(after)) >= 0.05 - 1e-12
         if min(gaps_m(before)) >= 0.05:
             n_kept += 1
             assert all(np.array_equal(before[name], after[name]) for name in before)
+        changed = [name for name in before if not np.array_equal(before[name], after[name])]
+        redrawn += [round(after[name][1, 3] - y_m[name], 9) for name in changed]
     assert 0 < n_kept < 200
-    crowded = found(0.3, clearance_m=0.05)
-    assert any(pose is None for bodies in crowded for pose in bodies.values())
-    assert all(gap >= 0.05 - 1e-12 for bodies in crowded for gap in gaps_m(bodies))
+    assert len(set(redrawn)) == len(redrawn) > 100  # each body of each ping has its own draws
+
+
+def test_a_body_without_a_clear_place_is_absent(tmp_path):
+    """It has no reflectivity then, and neither it nor where a later table has moved a body from takes a place."""
+    path = write_job(tmp_path, 1, "")
+    boxes = BOX + BOX.replace("box_1", "box_2") + BOX.replace("box_1", "box_3")
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{boxes}{WALL}</world></sdf>')
+    plain, clear = read_job(path).plain, {"clearance_m": 0.1, "reflectivity": 0.5}
+
+    def found(*tables):
+        (request,) = BatchRequests(Job(**plain | {"vary": {"bodies": list(tables)}}))
+        assert request.reflectivity == {
+            name: 0.5 for name, pose in request.bodies.items() if pose is not None
+        }
+        return {name: None if pose is None else round(pose[1, 3], 9) for name, pose in request.bodies.items()}
+
+    one, two, three = ({"names": [f"box_{k}"]} | clear for k in (1, 2, 3))
+    assert found(one, two, three) == {"box_1": 0.3, "box_2": None, "box_3": None}
+    assert found(one, two, three | {"y_m": 0.29}) == {"box_1": 0.3, "box_2": None, "box_3": None}
+    assert found(one, two, three | {"y_m": 0.31}) == {"box_1": 0.3, "box_2": None, "box_3": 0.61}
+    assert found(one, one | {"y_m": 0.1}) == {"box_1": 0.4}
+    assert found(one, one | {"there": 0.0}, two) == {"box_1": None, "box_2": 0.3}
+
+
+def test_what_rests_takes_plumes_along_and_keeps_its_height_beside_the_floor(tmp_path):
+    path = write_job(tmp_path, 1, "")
+    floor = BODY.format("floor", "3 0 -0.9", "1 1 1")
+    diver = BODY.format("diver", "3 0 -0.2", "0.2 0.2 0.1")
+    diver = diver.replace("</link>", "<sonar_gl:bubbles name='breath'/></link>")
+    (tmp_path / "tank.sdf").write_text(
+        f'<sdf version="1.9"><world name="tank">{BOX}{diver}{floor}</world></sdf>'
+    )
+    plain, resting = read_job(path).plain, {"rests_on": "floor", "clearance_m": 0.0, "z_m": 0.05}
+
+    def heights_m(names, **more):
+        tables = [{"names": names} | resting | more]
+        (request,) = BatchRequests(Job(**plain | {"vary": {"bodies": tables}}))
+        return [request.bodies[name][2, 3] for name in names]
+
+    assert heights_m(["box_1"]) == pytest.approx([-0.4 + 0.1 + 0.05], abs=1e-9)
+    assert heights_m(["box_1"], x_m=2.0) == pytest.approx([-0.3 + 0.05], abs=1e-9)
+    # the diver's lower side is 0.15 m above the floor
+    assert heights_m(["diver", "breath"]) == pytest.approx([-0.2 - 0.15 + 0.05] * 2, abs=1e-9)
 
 
 def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(tmp_path):
@@ -807,6 +853,27 @@ def test_a_sonar_inside_a_body_is_reported_whatever_process_makes_its_pings(tmp_
         begins = f"warning: {sonar} in tank.sdf: ping 0: the sonar at (2, 0, 0) m is inside body 'box_1', or"
         assert text.startswith(begins)
     assert warnings_of_parts(path, tmp_path / "out", [1], one_by_one) == set()
+
+
+@pytest.mark.parametrize(
+    ("place", "moved", "warned"),
+    [
+        ("0 0 0", {}, ["level"]),
+        ("0 0 0", {"there": 0.0}, []),
+        ("0 0 0", {"x_m": 3.0}, ["upright"]),
+        ("3 0 0", {}, ["upright"]),
+        ("3 0 0", {"x_m": -3.0}, ["level"]),
+    ],
+)
+def test_a_sonar_is_inside_a_body_where_the_first_ping_has_both(tmp_path, place, moved, warned):
+    """One sonar is mounted 3 m before the other."""
+    path = write_job(tmp_path, 2, "")
+    path.write_text(path.read_text().replace("mount = [0.0, ", "mount = [3.0, "))
+    body = BODY.format("box_1", place, "1 2 1")
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{body}{WALL}</world></sdf>')
+    vary = {"bodies": [{"names": ["box_1"], **moved}]}
+    texts = BatchRequests(Job(**read_job(path).plain | {"vary": vary})).place_warnings()
+    assert [text.split()[1] for text in texts] == warned
 
 
 def test_a_sonar_in_the_air_is_reported_alike_by_all_processes(tmp_path):
@@ -1537,7 +1604,7 @@ def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
     write_job(tmp_path, 2, "[labels]\n")
     text = (tmp_path / "tank.sdf").read_text()
     (tmp_path / "other.sdf").write_text(
-        text.replace("box_1", "box_2").replace('world name="tank"', 'world name="o"')
+        text.replace("box_1", "rock_2").replace('world name="tank"', 'world name="o"')
     )
     job = read_job(tmp_path / "job.toml")
     job = job.model_copy(update={"scenes": ["tank.sdf", "other.sdf"]})
@@ -1547,14 +1614,14 @@ def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
     # there is a second between runs
     assert [request.time_s for request in requests] == pytest.approx([0, 0.2, 1.2, 1.4])
     schema = Schema(requests)
-    assert schema.bodies == ["wall", "box_1", "floor", "wall", "box_2", "floor"]
-    assert schema.classes == ["wall", "box", "floor"]
-    assert schema.class_id.tolist() == [0, 1, 2, 3, 1, 2, 3]
-    assert schema.scene_class_id(1)[:4].tolist() == [0, 1, 2, 3] and schema.first_body == [0, 3]
+    assert schema.bodies == ["wall", "box_1", "floor", "wall", "rock_2", "floor"]
+    assert schema.classes == ["wall", "box", "floor", "rock"]
+    assert schema.class_id.tolist() == [0, 1, 2, 3, 1, 4, 3]
+    assert schema.scene_class_id(1)[:4].tolist() == [0, 1, 4, 3] and schema.first_body == [0, 3]
 
 
 def test_moved_bodies_and_background_need_not_be_in_every_scene(tmp_path):
-    more = '[[vary.bodies]]\nnames = ["rock_?"]\nz_m = [1.0, 2.0]\n'
+    more = '[[vary.bodies]]\nnames = ["rock_?"]\nz_m = [1.0, 2.0]\nrests_on = "sand"\n'
     path = write_job(tmp_path, 2, more + '[labels]\nlayers = ["shadow"]\nbackground = ["floor", "sand"]\n')
     text = (tmp_path / "tank.sdf").read_text().replace('world name="tank"', 'world name="o"')
     (tmp_path / "other.sdf").write_text(text.replace("box_1", "rock_1").replace("floor", "sand"))
@@ -1820,6 +1887,12 @@ def test_bodies_whose_names_differ_by_a_final_number_are_one_class(tmp_path, mon
     schema = schema_of_bodies(tmp_path, monkeypatch, names)
     assert schema.classes == ["pile", "2nd pile", "7", "12"]  # a name that is a number stays
     assert schema.class_id.tolist() == [0, 1, 1, 1, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(("n_classes", "dtype"), [(255, "uint8"), (256, "uint16")])
+def test_the_numbers_of_classes_fit(tmp_path, monkeypatch, n_classes, dtype):
+    schema = schema_of_bodies(tmp_path, monkeypatch, [f"{k} m" for k in range(n_classes)])
+    np.testing.assert_array_equal(schema.class_id, np.arange(1 + n_classes, dtype=dtype), strict=True)
 
 
 def test_shadows_fall_on_what_is_named_like_a_floor_or_a_wall(tmp_path, monkeypatch):

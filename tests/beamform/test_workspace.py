@@ -3,8 +3,10 @@
 import numpy as np
 
 import sonar_gl as sg
+from sonar_gl.beamform import workspace as workspace_module
 from sonar_gl.beamform.beamformer import make_beamformer
-from sonar_gl.beamform.workspace import Workspace
+from sonar_gl.beamform.kernels.body_sums import LabelRoom
+from sonar_gl.beamform.workspace import LabelSums, Workspace
 from sonar_gl.sonar.fan import Fan
 
 SONAR = sg.Sonar("shared", 900e3, 32, 100, 30.0, 10.0, 1.0, 0.5, 10.0)
@@ -44,3 +46,25 @@ def test_what_another_sampling_summed_leaves_no_echo():
         assert found.total == expected.total
         n_columns.append(shared.fan.n_columns)
     assert n_columns[1] > n_columns[0] == n_columns[2]
+
+
+def test_room_for_labels_grows_to_twice_what_was_needed_and_never_shrinks(monkeypatch):
+    for name, size in (("SLOTS", 2), ("RUNS", 10), ("POOL", 100)):
+        monkeypatch.setattr(workspace_module, name, size)
+    sums, half = LabelSums(n_bins=8), 1
+    cells = sums.cells[half]
+
+    def state():
+        runs, n_runs, pool, n_pool = sums.stores[half]
+        return len(runs), n_runs, len(pool), n_pool
+
+    assert sums.take(half, LabelRoom(2, 10, 100))
+    assert state() == (10, 10, 100, 100)
+    assert not sums.take(half, LabelRoom(2, 11, 60))
+    assert state() == (22, 0, 120, 0)
+    assert not sums.take(half, LabelRoom(1, 5, 121))
+    assert state() == (22, 0, 242, 0)
+    assert sums.cells[half] is cells
+    assert not sums.take(half, LabelRoom(3, 22, 242))
+    assert sums.cells[half].shape == (3, *cells.shape[1:]) and not sums.cells[half].any()
+    assert state() == (22, 0, 242, 0)

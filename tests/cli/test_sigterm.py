@@ -10,7 +10,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl import ros
-from sonar_gl.cli.command_group import REPEAT_S
+from sonar_gl.cli.command_group import IMPORT_PAUSE_S, REPEAT_S
 from tests.support.command_line import run
 from tests.support.commands_beside import run_beside
 from tests.support.loopback_transport import LoopbackTransport
@@ -77,6 +77,26 @@ def test_a_later_signal_ends_what_the_first_has_not(unhandled, monkeypatch):
     assert not unhandled
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_signal_that_the_caller_ignores_or_handles_ends_no_command(number, monkeypatch):
+    """As shells have Ctrl-C ignored in the background, and nohup has SIGHUP."""
+    handled = []
+
+    def plan(*_):
+        os.kill(os.getpid(), number)
+        raise sg.Error("the command went on")
+
+    monkeypatch.setattr(sg.Simulator, "plan", plan)
+    for handler in (signal.SIG_IGN, lambda *_: handled.append(number)):
+        before = signal.signal(number, handler)
+        try:
+            status, _, errors = run("render", "pylon")
+        finally:
+            signal.signal(number, before)
+        assert status == 2 and errors.endswith("\nerror: the command went on\n")
+    assert handled == [number]
+
+
 def test_a_command_that_renders_says_that_it_was_interrupted(unhandled, monkeypatch):
     monkeypatch.setattr(sg.Simulator, "ping", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
     status, _, errors = run("render", "pylon")
@@ -84,14 +104,20 @@ def test_a_command_that_renders_says_that_it_was_interrupted(unhandled, monkeypa
     assert not unhandled
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_within_an_import_is_not_lost(number, unhandled, monkeypatch, tmp_path):
-    """trimesh takes any exception within its imports for the lack of a module."""
+@pytest.fixture
+def imports_anything(request, monkeypatch, tmp_path):
+    """A module that sends a signal, the parameter, while it is imported, and takes whatever is raised there."""
     (tmp_path / "imports_anything.py").write_text(
-        f"import os\ntry:\n    os.kill(os.getpid(), {int(number)})\nexcept BaseException:\n    pass\n"
+        f"import os\ntry:\n    os.kill(os.getpid(), {int(request.param)})\nexcept BaseException:\n    pass\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "imports_anything", raising=False)  # of the other signal
+
+
+@pytest.mark.parametrize("imports_anything", [signal.SIGTERM, signal.SIGINT], indirect=True)
+@pytest.mark.usefixtures("imports_anything")
+def test_a_signal_within_an_import_is_not_lost(unhandled, monkeypatch):
+    """trimesh takes any exception within its imports for the lack of a module."""
 
     def ping(*_, **__):
         importlib.import_module("imports_anything")
@@ -101,6 +127,19 @@ def test_a_signal_within_an_import_is_not_lost(number, unhandled, monkeypatch, t
     monkeypatch.setattr(sg.Simulator, "ping", ping)
     status, _, errors = run("render", "pylon")
     assert status == 130 and errors.endswith("\nerror: interrupted\n")
+    assert not unhandled
+
+
+@pytest.mark.parametrize("imports_anything", [signal.SIGTERM], indirect=True)
+@pytest.mark.usefixtures("imports_anything")
+def test_a_signal_within_the_last_import_of_a_command_does_not_reach_its_caller(unhandled, monkeypatch):
+    def plan(*_):
+        importlib.import_module("imports_anything")
+        raise sg.Error("the command ends")
+
+    monkeypatch.setattr(sg.Simulator, "plan", plan)
+    assert run("render", "pylon")[0] == 2
+    time.sleep(2 * IMPORT_PAUSE_S)
     assert not unhandled
 
 

@@ -428,9 +428,10 @@ def test_two_threads_draw_the_same_samples_as_one(monkeypatch):
     np.testing.assert_array_equal(two[1], one[1])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("is_threaded", [False, True])
-@pytest.mark.parametrize("name", ["pylon", "diver", "ocean_floor"])
+@pytest.mark.parametrize(
+    "name", ["diver", *(pytest.param(name, marks=pytest.mark.slow) for name in ("pylon", "ocean_floor"))]
+)
 def test_views_of_lobes_alone_are_shaded_with_the_whole_view(name, is_threaded, monkeypatch):
     """They are those that are drawn by themselves, to the bit, and no triangle is drawn for them."""
     scene, drawn = sg.load_scene(name), []

@@ -1,10 +1,13 @@
 """What bodies a place lies in, or below; how far bodies are above a floor."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.scene import extent
 from sonar_gl.scene.extent import air_text, bodies_beyond, body_around, bounds_of, gap_m, other_unit_text
 from sonar_gl.scene.primitives import INFINITE_PLANE_M, plane
 from tests.support.worlds import terrain
@@ -126,6 +129,29 @@ def test_a_box_touches_a_hill_by_its_edge_or_by_the_peak(x, y, gap):
     assert gap_m([far, (CRATE, sg.pose(x, y, 3))], PYRAMID, np.eye(4)) == pytest.approx(min(gap, 7.8))
 
 
+def test_bodies_touch_alike_whatever_is_compared_at_once(monkeypatch):
+    """A floor of more triangles than that is compared with one corner at a time."""
+    placed = [(CRATE, sg.pose(0.5, 0, 3, 0.3, 0.2))]
+    expected = gap_m(placed, PYRAMID, np.eye(4))
+    for pairs in (1, 5, 9):
+        monkeypatch.setattr(extent, "PAIRS", pairs)
+        assert gap_m(placed, PYRAMID, np.eye(4)) == expected
+
+
+def test_a_box_on_one_with_the_same_sides_touches_its_top():
+    """Its lower corners lie on the upright faces of the other, which have no area from above."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert gap_m([(CRATE, sg.pose(z=3))], CRATE, np.eye(4)) == pytest.approx(2.6, abs=1e-12)
+
+
+def test_vertices_of_no_face_do_not_touch_a_floor():
+    corners = [[-1, -1, 0], [1, -1, 0], [0, 1, 0], [0, 0, -1]]
+    sheet = sg.Body("sheet", trimesh.Trimesh(corners, [[0, 1, 2]], process=False))
+    assert len(sheet.surface.vertices) == 4
+    assert gap_m([(sheet, sg.pose(z=3))], CRATE, np.eye(4)) == pytest.approx(2.8, abs=1e-12)
+
+
 def test_bodies_beyond_a_range():
     """By their nearest point, as far as boxes with sides along the axes tell, from the nearest of several places."""
     wall = sg.Body("wall", trimesh.creation.box((2.0, 40.0, 2.0)), sg.pose(12, 0, 0))
@@ -133,3 +159,5 @@ def test_bodies_beyond_a_range():
     assert bodies_beyond([BALL, wall], np.array([[0.0, 0, 0]]), 4.1) == ["wall"]
     assert bodies_beyond([BALL, wall], np.array([[0.0, 15, 0], [0, 19, 0]]), 11.1) == ["ball"]
     assert bodies_beyond([BALL, wall], np.array([[0.0, 15, 0], [0, 0, 0]]), 11.1) == []
+    assert bodies_beyond([BALL], np.array([[5.0, 0, 4]]), 2.9) == ["ball"]
+    assert bodies_beyond([BALL], np.array([[5.0, 0, 4]]), 3.1) == []
