@@ -2224,15 +2224,23 @@ MUTATIONS = (
         "pass",
         ("test_extent::test_a_box_touches_a_hill_by_its_edge_or_by_the_peak",),
     ),
-    Mutation("batch/depth of burial", "move[2, 3] += shift[2] - gap if", "move[2, 3] += -gap if", RESTS),
+    Mutation("batch/depth of burial", 'draws[SHIFT_AND_TURN.index("z_m")] - gap', "-gap", RESTS),
     Mutation(
         "batch/a floor that has moved",
-        "gap_m(of_bodies, floor, floor.pose if pose is None else pose)",
+        "gap_m(of_bodies, floor, floor.pose if place is None else place)",
         "gap_m(of_bodies, floor, floor.pose)",
         RESTS,
     ),
-    Mutation("batch/places that are taken", "            taken |= sides\n", "", CLEAR),
-    Mutation("batch/least distance", ">= table.clearance_m:", ">= 0:", CLEAR),
+    Mutation(
+        "batch/places that are taken", "for b, least_m in taken.values()", "for b, least_m in []", CLEAR
+    ),
+    Mutation("batch/least distance", ">= max(table.clearance_m, least_m)", ">= 0", CLEAR),
+    Mutation(
+        "batch/least distance of the other",
+        "max(table.clearance_m, least_m)",
+        "table.clearance_m",
+        ("batch/test_batch::test_bodies_keep_the_larger_distance_of_two_tables_whichever_is_first",),
+    ),
     Mutation(
         "batch/axes of a shift", "move[:3, 3] += shift", "move[:3, 3] += pivot[:3, :3] @ shift", REQUESTS
     ),
