@@ -381,7 +381,7 @@ class BatchRequests(Sequence):
         return self._moved_names[scene, table]
 
     def _check_rests(self, scene: int) -> None:
-        """Raise an Error if a scene lacks the floor on which a table rests its bodies, or it moves with them or later."""
+        """Raise an Error if a scene lacks the floor on which a table rests bodies, or it moves with them or later."""
         known, n_tables = [body.name for body in self.scene(scene).bodies], len(self.job.vary.bodies)
         for k, table in enumerate(self.job.vary.bodies):
             names, floor = self.moved_names(scene, k), table.rests_on
