@@ -790,6 +790,12 @@ MUTATIONS = (
         MULTIPATH,
     ),
     Mutation(
+        "multipath/finer images compared with half as many",
+        "step = 1 if own > 0 else 2",
+        "step = 1",
+        BY_IMAGES,
+    ),
+    Mutation(
         "multipath/four times the samples at most",
         "for n in range(14, 0, -1)",
         "for n in range(2, 0, -1)",
@@ -2235,6 +2241,18 @@ MUTATIONS = (
         "batch/places that are taken", "for b, least_m in taken.values()", "for b, least_m in []", CLEAR
     ),
     Mutation("batch/least distance", ">= max(table.clearance_m, least_m)", ">= 0", CLEAR),
+    Mutation(
+        "batch/a floor that moves later",
+        "if later is not None:",
+        "if False:",
+        ("batch/test_batch::test_errors_in_a_job_name_file_table_and_key",),
+    ),
+    Mutation(
+        "batch/signals that come at once",
+        "if time.monotonic() < stopped_s + REPEAT_S:",
+        "if False:",
+        ("batch/test_runs::test_signals_that_come_at_once_stop_a_batch_as_one_does",),
+    ),
     Mutation(
         "batch/least distance of the other",
         "max(table.clearance_m, least_m)",
