@@ -884,7 +884,7 @@ def test_a_small_body_keeps_its_multipath(radius_m):
 
 
 BELOW_THE_APERTURE = pytest.mark.parametrize(
-    ("x", "y", "radius_m"), [(10.0, 0.0, 0.05), (8.0, 1.0, 0.1), (12.0, 2.0, 0.15)]
+    ("x", "y", "radius_m"), [(10.0, 0.0, 0.05), (8.0, 1.0, 0.1), (12.0, 2.0, 0.15), (13.0, 0.0, 0.17)]
 )
 UPWARD = sg.Sonar("test", 900e3, 128, 400, 60.0, 20.0, 60 / 128, 0.5, 20.0)
 
