@@ -802,6 +802,12 @@ MUTATIONS = (
         MULTIPATH,
     ),
     Mutation(
+        "multipath/finer images compared with half as many",
+        "step = 1 if own > 0 else 2",
+        "step = 1",
+        BY_IMAGES,
+    ),
+    Mutation(
         "multipath/four times the samples at most",
         "for n in range(14, 0, -1)",
         "for n in range(2, 0, -1)",
@@ -2242,15 +2248,35 @@ MUTATIONS = (
         "pass",
         ("test_extent::test_a_box_touches_a_hill_by_its_edge_or_by_the_peak",),
     ),
-    Mutation("batch/depth of burial", "move[2, 3] += shift[2] - gap if", "move[2, 3] += -gap if", RESTS),
+    Mutation("batch/depth of burial", 'draws[SHIFT_AND_TURN.index("z_m")] - gap', "-gap", RESTS),
     Mutation(
         "batch/a floor that has moved",
-        "gap_m(of_bodies, floor, floor.pose if pose is None else pose)",
+        "gap_m(of_bodies, floor, floor.pose if place is None else place)",
         "gap_m(of_bodies, floor, floor.pose)",
         RESTS,
     ),
-    Mutation("batch/places that are taken", "            taken |= sides\n", "", CLEAR),
-    Mutation("batch/least distance", ">= table.clearance_m:", ">= 0:", CLEAR),
+    Mutation(
+        "batch/places that are taken", "for b, least_m in taken.values()", "for b, least_m in []", CLEAR
+    ),
+    Mutation("batch/least distance", ">= max(table.clearance_m, least_m)", ">= 0", CLEAR),
+    Mutation(
+        "batch/a floor that moves later",
+        "if later is not None:",
+        "if False:",
+        ("batch/test_batch::test_errors_in_a_job_name_file_table_and_key",),
+    ),
+    Mutation(
+        "batch/signals that come at once",
+        "if time.monotonic() < stopped_s + REPEAT_S:",
+        "if False:",
+        ("batch/test_runs::test_signals_that_come_at_once_stop_a_batch_as_one_does",),
+    ),
+    Mutation(
+        "batch/least distance of the other",
+        "max(table.clearance_m, least_m)",
+        "table.clearance_m",
+        ("batch/test_batch::test_bodies_keep_the_larger_distance_of_two_tables_whichever_is_first",),
+    ),
     Mutation(
         "batch/axes of a shift", "move[:3, 3] += shift", "move[:3, 3] += pivot[:3, :3] @ shift", REQUESTS
     ),

@@ -275,7 +275,7 @@ class BatchRequests(Sequence):
 
     def _draw_bodies(self, scene: int, number: int, random) -> tuple[dict, dict]:
         """Draw the poses of bodies that move in a ping, and their reflectivities."""
-        bodies, reflectivity, taken = {}, {}, {}  # taken: the rectangles of what keeps clear of each other
+        bodies, reflectivity, taken = {}, {}, {}  # taken: what keeps clear of each other
         known = self.bodies_and_plumes(scene)
         for k, table in enumerate(self.job.vary.bodies):
             groups = self._moved_groups(scene, k)
@@ -289,14 +289,14 @@ class BatchRequests(Sequence):
                         found.pop(name, None)
                 if not group:
                     continue
-                poses = dict.fromkeys(group)
-                if is_present and table.clearance_m is None:
-                    poses = _moved_poses(known, group, table, draws, bodies)
-                elif is_present:
+                if is_present and table.clearance_m is not None:
                     # a stream of its own: no other draw depends on how many these are
                     more = self._random(CLEARANCE_STREAM, number, k, n)
-                    poses = _clear_poses(known, group, table, draws, more, bodies, taken) or poses
-                    is_present = poses[group[0]] is not None
+                    draws = _clear_draws(known, group, table, draws, more, taken)
+                    is_present = draws is not None
+                poses = (
+                    _moved_poses(known, group, table, draws, bodies) if is_present else dict.fromkeys(group)
+                )
                 if is_present and not draws.any() and mu is None and table.rests_on is None:
                     continue
                 bodies |= poses
@@ -381,8 +381,8 @@ class BatchRequests(Sequence):
         return self._moved_names[scene, table]
 
     def _check_rests(self, scene: int) -> None:
-        """Raise an Error if a scene lacks the floor on which a table rests its bodies, or moves it with them."""
-        known = [body.name for body in self.scene(scene).bodies]
+        """Raise an Error if a scene lacks the floor on which a table rests bodies, or it moves with them or later."""
+        known, n_tables = [body.name for body in self.scene(scene).bodies], len(self.job.vary.bodies)
         for k, table in enumerate(self.job.vary.bodies):
             names, floor = self.moved_names(scene, k), table.rests_on
             if floor is None or not names:
@@ -390,6 +390,12 @@ class BatchRequests(Sequence):
             where = f"{self.job.where}: vary.bodies[{k}].rests_on must name a body"
             if floor in names:
                 raise Error(f"{where} that does not move with the others (got {floor!r})")
+            later = next((n for n in range(k + 1, n_tables) if floor in self.moved_names(scene, n)), None)
+            if later is not None:
+                raise Error(
+                    f"{where} that no later table names (got {floor!r}, which vary.bodies[{later}] names; give that "
+                    "table first)"
+                )
             if floor not in known:
                 hint = nearest_of_many(floor, known)
                 raise Error(
@@ -457,39 +463,49 @@ def _matched(patterns: list[str], scene: Scene) -> list[str]:
 
 def _moved_poses(known: dict, group: list[str], table: MovedTable, draws: np.ndarray, placed: dict) -> dict:
     """Return the poses of bodies that move together, given their draws and the poses of tables before."""
+    poses = _drawn_poses(known, group, draws)
+    if table.rests_on is not None:
+        floor, place = known[table.rests_on], placed.get(table.rests_on)
+        of_bodies = [(known[name], pose) for name, pose in poses.items() if isinstance(known[name], Body)]
+        gap = gap_m(of_bodies, floor, floor.pose if place is None else place)
+        if math.isfinite(gap):  # else beside the floor: as drawn
+            for pose in poses.values():
+                pose[2, 3] += draws[SHIFT_AND_TURN.index("z_m")] - gap
+    return poses
+
+
+def _drawn_poses(known: dict, group: list[str], draws: np.ndarray) -> dict:
+    """Return the poses of bodies that move together, wherever the floor is."""
     shift, turn = np.split(draws, 2)
     pivot = known[group[0]].pose
     move = pivot @ make_pose(0, 0, 0, *turn) @ np.linalg.inv(pivot)
     move[:3, 3] += shift
-    if table.rests_on is not None:
-        floor, pose = known[table.rests_on], placed.get(table.rests_on)
-        of_bodies = [
-            (known[name], move @ known[name].pose) for name in group if isinstance(known[name], Body)
-        ]
-        gap = gap_m(of_bodies, floor, floor.pose if pose is None else pose)
-        move[2, 3] += shift[2] - gap if math.isfinite(gap) else 0.0  # beside the floor: as drawn
     return {name: move @ known[name].pose for name in group}
 
 
-def _clear_poses(
-    known: dict, group: list[str], table: MovedTable, draws: np.ndarray, random, placed: dict, taken: dict
-) -> dict | None:
-    """Return poses as `_moved_poses`, drawn until they are clear of rectangles that are taken; None if none is clear.
+def _clear_draws(
+    known: dict, group: list[str], table: MovedTable, draws: np.ndarray, random, taken: dict
+) -> np.ndarray | None:
+    """Return draws that keep bodies clear of those that are taken: further ones until they do, None if none does.
 
-    The rectangles, with sides along x and y of the world, are about the bodies as seen from above. Those of the result
-    are taken from then on.
+    The floor has no part in it, which moves bodies up and down alone.
+
+    taken : name of a body -> the (2, 2) least and greatest x and y of the rectangle about it, and its least distance;
+        the bodies are taken, too, from then on
     """
     for _ in range(CLEARANCE_TRIES):
-        poses = _moved_poses(known, group, table, draws, placed)
         sides = {
             name: body_bounds(known[name], pose)[:, :2]
-            for name, pose in poses.items()
+            for name, pose in _drawn_poses(known, group, draws).items()
             if isinstance(known[name], Body)
         }
-        gaps = [np.maximum(a[0] - b[1], b[0] - a[1]).max() for a in sides.values() for b in taken.values()]
-        if min(gaps, default=math.inf) >= table.clearance_m:
-            taken |= sides
-            return poses
+        if all(
+            np.maximum(a[0] - b[1], b[0] - a[1]).max() >= max(table.clearance_m, least_m)
+            for a in sides.values()
+            for b, least_m in taken.values()
+        ):
+            taken |= {name: (rectangle, table.clearance_m) for name, rectangle in sides.items()}
+            return draws
         draws = _draw_move(random, table)
     return None
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
+import time
 from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -26,6 +28,7 @@ from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.cores import count_cores
 from sonar_gl.core.errors import Error, some_names
 from sonar_gl.core.poses import pose_numbers
+from sonar_gl.core.signals import REPEAT_S
 
 
 @dataclass
@@ -249,12 +252,16 @@ def _make_parts(
 
 @contextmanager
 def _stop_on_signals(pool: Pool, report: Callable[[str], None]):
-    """Let the first SIGINT or SIGTERM stop the pool after the parts in progress; the second ends it."""
+    """Let the first SIGINT or SIGTERM stop the pool after the parts in progress; a later one ends it."""
+    stopped_s = -math.inf
 
     def stop(_signal, _frame):
+        nonlocal stopped_s
+        if time.monotonic() < stopped_s + REPEAT_S:
+            return
         if pool.stopping:
             raise KeyboardInterrupt
-        pool.stopping = True
+        pool.stopping, stopped_s = True, time.monotonic()
         report("finishing the parts in progress; Ctrl-C again stops them")
 
     if threading.current_thread() is not threading.main_thread():

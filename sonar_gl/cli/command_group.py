@@ -18,8 +18,8 @@ import click
 
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError
+from sonar_gl.core.signals import REPEAT_S
 
-REPEAT_S = 0.3  # within it, signals are one: `timeout` sends its own to a command and to the group of it
 IMPORT_PAUSE_S = 0.05  # until a signal that came during an import is tried again
 
 

@@ -34,12 +34,9 @@ from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning
 # about as many tolerances as the second says.
 FIRST_ERROR, USUAL_ERROR = 0.5, 0.8
 HALVING_RATE = 0.85  # each halving of the rows multiplies the error by two to this power, about
-# Of the error that a comparison shows: the estimate of the direct echo's error has room, and the two are added.
+# Of the error that a comparison shows: the estimate of the direct echo's error has room, and the two are added. Where
+# there are more samples than of the direct echo, multipath is nearly all echo, and its whole error counts.
 BESIDE_DIRECT = 0.7
-# So many halvings are four times the samples of the direct echo. With more, multipath is nearly all echo, and its whole
-# error counts. They are compared with four times fewer: half as many err alike where a small body echoes by way of a
-# reflector alone, and the difference may show half of the error.
-QUADRUPLED = -2
 # Estimated of the direct echo, in tolerances. That of a ping is not known where samples were given, and a ping of a
 # data set, whose samples were chosen, is to be made again by giving these.
 USUAL_DIRECT_ERROR = 0.8
@@ -75,7 +72,7 @@ class MultipathEcho(NamedTuple):
             return None
         times = self.images.rows / coarser.images.rows
         wrong = wrong_share(self.multipath, coarser.multipath, times)
-        of_it = BESIDE_DIRECT if self.images.halvings >= QUADRUPLED else 1.0
+        of_it = BESIDE_DIRECT if self.images.halvings >= 0 else 1.0
         return MultipathError(of_it * wrong, self.images.rows)
 
 
@@ -202,7 +199,9 @@ class ImageSampling:
             if error is None:  # only a comparison asks for more samples than those of the direct echo
                 wanted = max(wanted, 0)
             elif coarser is not None and wanted < own:  # estimates from few samples are rough
-                step = 1 if own > QUADRUPLED else 2
+                # Beyond those of the direct echo the comparison is with four times fewer: half as many err alike where
+                # a small body echoes by way of a reflector alone, and the difference may show half of the error.
+                step = 1 if own > 0 else 2
                 wanted = max(own - step, _finest_for(echo.images))
             self.choice = choice = choice._replace(
                 halvings=min(max(choice.halvings, kept), wanted), error=error

@@ -607,6 +607,21 @@ def test_what_rests_takes_plumes_along_and_keeps_its_height_beside_the_floor(tmp
     assert heights_m(["diver", "breath"]) == pytest.approx([-0.2 - 0.15 + 0.05] * 2, abs=1e-9)
 
 
+@pytest.mark.parametrize("distances_m", [(0.5, 0.1), (0.1, 0.5)])
+def test_bodies_keep_the_larger_distance_of_two_tables_whichever_is_first(tmp_path, distances_m):
+    path = write_job(tmp_path, 50, "")
+    boxes = "".join(BOX.replace("box_1", f"box_{k}") for k in (1, 2))
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{boxes}{WALL}</world></sdf>')
+    reach = {"x_m": [-0.8, 0.8], "y_m": [-0.8, 0.8]}
+    tables = [
+        {"names": [f"box_{k}"], "clearance_m": distance_m, **reach}
+        for k, distance_m in zip((1, 2), distances_m, strict=True)
+    ]
+    for request in BatchRequests(Job(**read_job(path).plain | {"vary": {"bodies": tables}})):
+        first, second = request.bodies["box_1"], request.bodies["box_2"]
+        assert np.abs(first[:2, 3] - second[:2, 3]).max() - 0.2 >= 0.5 - 1e-12  # boxes of 0.2 m
+
+
 def test_runs_follow_each_other_a_second_apart_whenever_a_file_of_poses_begins(tmp_path):
     """Along a file that begins at 100 s, in two scenes, and then along a sector."""
     path = write_job(tmp_path, 2, "")
@@ -2154,6 +2169,12 @@ BAD = [
         'rests_on = "flor"',
         "vary.bodies[0].rests_on must name a body of each scene of 'box_1' (got 'flor', which scenes[0] lacks; did you "
         "mean 'floor'?)",
+    ),
+    (
+        "there = 0.8",
+        'rests_on = "floor"\n[[vary.bodies]]\nnames = ["flo*"]',
+        "vary.bodies[0].rests_on must name a body that no later table names (got 'floor', which vary.bodies[1] names; "
+        "give that table first)",
     ),
     (
         "there = 0.8",

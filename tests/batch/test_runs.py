@@ -20,6 +20,7 @@ from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.pool import Pool
 from tests.support.batches import LABELS, files_of, make_all, write_job, write_plain_job
+from tests.support.command_line import run
 from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -137,6 +138,26 @@ def test_processes_share_the_cores(job, tmp_path, monkeypatch, n_cores, asked, n
     with Pool(read_job(job).plain, str(tmp_path), [None, None], print) as pool:
         assert pool.call("threads") == n_threads
     assert found == [asked]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signals_that_come_at_once_stop_a_batch_as_one_does(tmp_path, monkeypatch, number):
+    """`timeout` sends its signal to the batch and to its group: the second broke off the parts in progress."""
+    path, run_parts = write_plain_job(tmp_path, 4, 2), Pool.run_parts
+
+    def run_with_signals(pool, *arguments, **more):
+        for _ in range(2):
+            signal.raise_signal(number)
+        run_parts(pool, *arguments, **more)
+
+    monkeypatch.setattr(Pool, "run_parts", run_with_signals)
+    out = tmp_path / "out"
+    status, shown, err = run("batch", path, "--out", out, "--workers", "1")
+    assert (status, shown) == (
+        130,
+        f"{out}: 0 of 4 pings; continue with: sonar-gl batch {path} --out {out} --resume\n",
+    )
+    assert err.count("finishing the parts in progress") == 1
 
 
 @pytest.mark.slow

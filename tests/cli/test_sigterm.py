@@ -10,7 +10,8 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl import ros
-from sonar_gl.cli.command_group import IMPORT_PAUSE_S, REPEAT_S
+from sonar_gl.cli.command_group import IMPORT_PAUSE_S
+from sonar_gl.core.signals import REPEAT_S
 from tests.support.command_line import run
 from tests.support.commands_beside import run_beside
 from tests.support.loopback_transport import LoopbackTransport

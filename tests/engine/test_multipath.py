@@ -884,7 +884,7 @@ def test_a_small_body_keeps_its_multipath(radius_m):
 
 
 BELOW_THE_APERTURE = pytest.mark.parametrize(
-    ("x", "y", "radius_m"), [(10.0, 0.0, 0.05), (8.0, 1.0, 0.1), (12.0, 2.0, 0.15)]
+    ("x", "y", "radius_m"), [(10.0, 0.0, 0.05), (8.0, 1.0, 0.1), (12.0, 2.0, 0.15), (13.0, 0.0, 0.17)]
 )
 UPWARD = sg.Sonar("test", 900e3, 128, 400, 60.0, 20.0, 60 / 128, 0.5, 20.0)
 
@@ -903,16 +903,19 @@ def error_by_many_samples(ping, scene, sonar, pose, acoustics, sampling):
     return np.abs(ping.intensity - truth).sum() / truth.sum()
 
 
+@pytest.mark.parametrize("tolerance", [0.05, 0.01])
 @BELOW_THE_APERTURE
-def test_a_body_that_echoes_by_way_of_the_surface_alone_has_the_samples_that_it_needs(x, y, radius_m):
+def test_a_body_that_echoes_by_way_of_the_surface_alone_has_the_samples_that_it_needs(
+    x, y, radius_m, tolerance
+):
     """The direct echo has few samples, and image sources had four times as many at the most: up to 24 % were wrong."""
     scene, pose = ball_by_way_of_the_surface_alone(x, y, radius_m)
-    with sg.Simulator(scene, UPWARD, MULTIPATH, tolerance=0.05) as simulator, warnings.catch_warnings():
+    with sg.Simulator(scene, UPWARD, MULTIPATH, tolerance=tolerance) as simulator, warnings.catch_warnings():
         warnings.simplefilter("error", ToleranceWarning)
         ping = simulator.ping(pose)
     many = sg.Sampling(60 / 128 / 0.02, 1000)
-    assert 0 < ping.error_estimate <= 0.05
-    assert error_by_many_samples(ping, scene, UPWARD, pose, MULTIPATH, many) <= 0.05
+    assert 0 < ping.error_estimate <= tolerance
+    assert error_by_many_samples(ping, scene, UPWARD, pose, MULTIPATH, many) <= tolerance
 
 
 @pytest.mark.parametrize(("radius_m", "tolerance"), [(0.005, 0.05), (0.002, 0.05), (0.002, 0.02)])
