@@ -584,7 +584,7 @@ MUTATIONS = (
     ),
     Mutation(
         "hidden bodies/points along edges",
-        "n = POINTS // max(len(held), 1)",
+        "n = POINTS // len(held)",
         "n = 1",
         (SEEN_ROD,),
     ),
@@ -596,8 +596,8 @@ MUTATIONS = (
     ),
     Mutation(
         "hidden bodies/above the water",
-        "surface = [np.array([0.0, 0.0, -1.0, surface_z_m - SURFACE_MARGIN_M]) @ body_pose]",
-        "surface = []",
+        "surface = np.array([[0.0, 0.0, -1.0, surface_z_m - SURFACE_MARGIN_M]]) @ body_pose",
+        "pass",
         ("test_adaptive::test_a_body_above_the_water_asks_for_no_samples",),
     ),
     Mutation(
@@ -1065,8 +1065,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/samples in the aperture",
-        "v2 > high2 * u2",
-        "v2 > high2",
+        "(v2 <= high2 * u2)",
+        "(v2 <= high2)",
         ADAPTIVE,
     ),
     Mutation(
@@ -1131,13 +1131,13 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/unevenness along rows",
-        "along[body] += (returned - beside) ** 2",
-        "along[body] += 0.0 * (returned - beside)",
+        "beside2 += (mine[i] - mine[i - uint64(1)]) ** 2",
+        "beside2 += 0.0",
         ADAPTIVE,
     ),
     Mutation(
         "planner/edges that are too many",
-        "held[:: max(math.ceil(len(held) / POINTS), 1)]",
+        "held[:: math.ceil(len(held) / POINTS)]",
         "held[:POINTS]",
         ADAPTIVE,
     ),
@@ -1842,8 +1842,8 @@ MUTATIONS = (
     ),
     Mutation(
         "planner/rows between those that are counted",
-        "area = (u[1] * v[2] - u[2] * v[1]) * every",
-        "area = u[1] * v[2] - u[2] * v[1]",
+        "echo[i] *= every * gain",
+        "echo[i] *= gain",
         ("test_adaptive::test_the_echo_of_a_body_and_its_unevenness_are_those_of_its_samples",),
     ),
     Mutation(
@@ -1878,8 +1878,8 @@ MUTATIONS = (
     ),
     Mutation(
         "obstruction/sectors beside a body",
-        "if _is_beside(frustum, Sphere(centre, sphere.radius_m)):",
-        "if False:",
+        "np.flatnonzero(~_are_beside(frusta, Sphere(centre, sphere.radius_m)))",
+        "np.arange(len(frusta))",
         ("test_adaptive",),
     ),
     Mutation(
@@ -2002,14 +2002,14 @@ MUTATIONS = (
     ),
     Mutation(
         "body counts/strips beyond the fan",
-        "reach = widest_u + (half if n_strips else 0.0)",
-        "reach = widest_u",
+        "reach = parts.widest_u[s] + (u1 / 2 if has_strips else 0.0)",
+        "reach = parts.widest_u[s]",
         ("test_adaptive::test_the_echo_of_strips_is_what_the_nearest_samples_of_upright_rods_give_them",),
     ),
     Mutation(
         "body counts/strips of a further sector",
-        "first_end = parts.first_strip[s] + s",
-        "first_end = parts.first_strip[s]",
+        "/ u1, p + uint64(s)",
+        "/ u1, p",
         ("test_adaptive::test_a_body_above_the_water_asks_for_no_samples",),
     ),
     Mutation(
@@ -2026,8 +2026,8 @@ MUTATIONS = (
     ),
     Mutation(
         "body counts/bodies that are not counted",
-        "if not is_counted[body]:",
-        "if False:",
+        "if bins[i] < 0.0 or not is_counted[number]:",
+        "if bins[i] < 0.0:",
         ("test_adaptive::test_of_a_coarser_view_those_bodies_alone_are_counted_that_it_is_compared_by",),
     ),
     Mutation(

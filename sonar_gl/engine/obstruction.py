@@ -50,18 +50,19 @@ def is_unobstructed(
     """
     sonar, sonar_from_body = reception.sonar, np.linalg.inv(pose) @ body_pose
     centre = sonar_from_body[:3, :3] @ sphere.centre + sonar_from_body[:3, 3]
-    surface = []  # what lies below it, as a plane of the body's frame
+    surface = np.empty((0, 4))  # what lies below it, as a plane of the body's frame
     if surface_z_m is not None and pose[2, 3] < surface_z_m:
-        surface = [np.array([0.0, 0.0, -1.0, surface_z_m - SURFACE_MARGIN_M]) @ body_pose]
-    edges = None  # taken from the body where a sector may hold it
-    for place, (sector, plane_echo, body_id, _) in enumerate(samples):
-        frustum = _frustum(sector, sonar.range_max_m)
-        if _is_beside(frustum, Sphere(centre, sphere.radius_m)):
-            continue
-        edges = _edges_of(body.surface) if edges is None else edges
-        points = points_within(np.stack([*(frustum @ sonar_from_body), *surface]), edges)
+        surface = np.array([[0.0, 0.0, -1.0, surface_z_m - SURFACE_MARGIN_M]]) @ body_pose
+    frusta = _frusta([one.sector for one in samples], sonar.range_max_m)
+    reaching = np.flatnonzero(~_are_beside(frusta, Sphere(centre, sphere.radius_m)))
+    if not len(reaching):
+        return False
+    edges, planes = _edges_of(body.surface), frusta @ sonar_from_body
+    for place in reaching:
+        points = points_within(np.concatenate([planes[place], surface]), edges)
         if not len(points):
             continue
+        sector, plane_echo, body_id, _ = samples[place]
         to_sector = sector.rotation() @ sonar_from_body[:3]
         x, y, z = to_sector[:, :3] @ points.T + to_sector[:, 3:]
         u, v, q = -y / x, z / x, 1 / x
@@ -96,28 +97,30 @@ def _in_a_beam(sector: Sector, u, v, q, sonar: Sonar, received) -> np.ndarray:
     return out & (np.searchsorted(received, u) % 2 == 1) if len(received) else out
 
 
-def _frustum(sector: Sector, range_max_m: float) -> np.ndarray:
-    """Return the frustum of a sector, and a little more, in the frame of the sonar.
+def _frusta(sectors: Sequence[Sector], range_max_m: float) -> np.ndarray:
+    """Return the frustum of each sector, and a little more, in the frame of the sonar.
 
-    (6, 4) planes of any length, its sides, its lowest and highest elevation between them, and the range ahead: for
-    points inside, planes @ (x, y, z, 1) > 0.
+    (sectors, 6, 4) planes of any length, their sides, their lowest and highest elevation between them, and the range
+    ahead: for points inside, planes @ (x, y, z, 1) > 0.
     """
-    beside, aside = math.tan(sector.half_width_rad), 1 / math.cos(sector.half_width_rad)
-    above, below = (max(tan, tan * aside) for tan in (sector.tan_high, -sector.tan_low))
-    c, s = math.cos(sector.azimuth_rad), math.sin(sector.azimuth_rad)
-    ahead, left = np.array([c, s, 0.0, 0.0]), np.array([-s, c, 0.0, 0.0])
-    up, one = np.array([0.0, 0.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
+    azimuth, half_width, low, high = np.array(
+        [(one.azimuth_rad, one.half_width_rad, one.tan_low, one.tan_high) for one in sectors]
+    ).T[..., None]
+    beside, aside = np.tan(half_width), 1 / np.cos(half_width)
+    above, below = (np.maximum(tan, tan * aside) for tan in (high, -low))
+    up, one = np.eye(4)[2:]
+    ahead = np.cos(azimuth) * [1.0, 0.0, 0.0, 0.0] + np.sin(azimuth) * [0.0, 1.0, 0.0, 0.0]
+    left = np.cos(azimuth) * [0.0, 1.0, 0.0, 0.0] - np.sin(azimuth) * [1.0, 0.0, 0.0, 0.0]
     ends = ahead - 1e-3 * one, range_max_m * one - ahead
-    return np.stack(
-        [*ends, beside * ahead + left, beside * ahead - left, above * ahead - up, below * ahead + up]
-    )
+    sides = beside * ahead + left, beside * ahead - left, above * ahead - up, below * ahead + up
+    return np.stack([*ends, *sides], axis=1)
 
 
-def _is_beside(frustum: np.ndarray, sphere: Sphere) -> bool:
-    """Return whether a sphere lies outside one of the planes of a frustum."""
-    normals, offsets_m = frustum[:, :3], frustum[:, 3]
-    reach_m = np.linalg.norm(normals, axis=1) * sphere.radius_m
-    return bool((normals @ sphere.centre + offsets_m <= -reach_m).any())
+def _are_beside(frusta: np.ndarray, sphere: Sphere) -> np.ndarray:
+    """Return (n,) bool, whether a sphere lies outside one of the planes of each frustum."""
+    normals, offsets_m = frusta[..., :3], frusta[..., 3]
+    reach_m = np.linalg.norm(normals, axis=-1) * sphere.radius_m
+    return (normals @ sphere.centre + offsets_m <= -reach_m).any(axis=1)
 
 
 def _edges_of(surface) -> np.ndarray:
@@ -157,9 +160,11 @@ def points_within(planes, edges) -> np.ndarray:
     low, high = np.empty(len(edges)), np.empty(len(edges))
     _cut_edges(planes, edges, low, high)
     held = np.flatnonzero(low < high)
-    held = held[:: max(math.ceil(len(held) / POINTS), 1)]
-    n = POINTS // max(len(held), 1)
-    places = (np.arange(n) + (np.arange(len(held))[:, None] * STAGGER) % 1) / max(n, 1)
+    if not len(held):
+        return np.empty((0, 3))
+    held = held[:: math.ceil(len(held) / POINTS)]
+    n = POINTS // len(held)
+    places = (np.arange(n) + (np.arange(len(held))[:, None] * STAGGER) % 1) / n
     places = low[held, None] + places * (high - low)[held, None]
     first, last = edges[held, None, 0], edges[held, None, 1]
     return (first + places[..., None] * (last - first)).reshape(-1, 3)

@@ -6,9 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import uint64
 
 from sonar_gl.beamform.kernels.strips import Lattice
-from sonar_gl.core.compiled import compiled, from_column, inlined
+from sonar_gl.core.compiled import compiled, from_column, inlined, uncounted
 
 # Sums over the samples of a sector on a body: how many, and how many runs of neighbours along rows and across them;
 # moments of the columns i and rows j.
@@ -88,6 +89,28 @@ class BodyTotals(NamedTuple):
     strands: np.ndarray
 
 
+class SampleRow(NamedTuple):
+    """What is known of one row of C samples, (C,) float64 or, of bodies, uint16; overwritten.
+
+    inverse_x : 1/x of what each sample met
+    bin : the bin of its echo, with a fraction; negative where no beam receives it
+    place : its place in `EchoWeights.elevation_table`
+    echo : without gain and pattern, then with both
+    share : how much of it the strips take
+    body : which one it met; 0, which none has, where it does not count
+    echo_over, body_over : echo and body in the row before
+    """
+
+    inverse_x: np.ndarray
+    bin: np.ndarray
+    place: np.ndarray
+    echo: np.ndarray
+    share: np.ndarray
+    body: np.ndarray
+    echo_over: np.ndarray
+    body_over: np.ndarray
+
+
 @compiled
 def count_samples(samples, parts, weights, totals):
     """Add the samples of a view to the totals of the bodies that they met.
@@ -97,108 +120,157 @@ def count_samples(samples, parts, weights, totals):
     samples, parts, weights, totals : tuples of CountedSamples, ReceivedParts, EchoWeights and BodyTotals
     """
     plane_echo, body_id, (places, u, v, limits), is_counted, every = samples
-    sums, strands = np.empty((is_counted.shape[0], JJ + 1)), BodyTotals(*totals).strands
+    sums, strands, most = (
+        np.empty((is_counted.shape[0], JJ + 1)),
+        BodyTotals(*totals).strands,
+        places[:, 1].max(),
+    )
+    row = SampleRow(
+        np.empty(most),
+        np.empty(most),
+        np.empty(most),
+        np.empty(most),
+        np.empty(most),
+        np.empty(most, np.uint16),
+        np.empty(most),
+        np.empty(most, np.uint16),
+    )
     for s in range(places.shape[0]):
         left, columns, rows = places[s, 0], places[s, 1], places[s, 2]
         if rows == 0:
             continue
-        for body in range(sums.shape[0]):
-            for n in range(JJ + 1):
-                sums[body, n] = 0.0
+        sums[:], row.body_over[:] = 0.0, 0
         image = from_column(plane_echo, left, rows), from_column(body_id, left, rows), is_counted, every
         lattice = Lattice(u[s], v[s], limits[s, 0], limits[s, 1], columns, limits[s, 2], limits[s, 3])
-        _count_sector(image, lattice, parts, s, weights, totals, sums)
+        _count_sector(image, lattice, parts, s, weights, totals, sums, row)
         for body in range(sums.shape[0]):
             strands[body] += _strands(sums, body)
 
 
-@inlined
-def _count_sector(image, lattice, parts, s, weights, totals, sums):
+@uncounted
+def _count_sector(image, lattice, parts, s, weights, totals, sums, row):
     """Add the samples of sector `s` to the totals, and to `sums`, (bodies + 1, 8) of N to JJ."""
-    (plane_echo, body_id, is_counted, every), (counts, echo, of_strips, along, across, _) = image, totals
-    parts, (first_m, per_metre, gain, elevation_table) = ReceivedParts(*parts), weights
-    (u, v), columns, sine, cosine = lattice[:2], lattice.columns, lattice.sine, lattice.cosine
+    parts, weights, totals = ReceivedParts(*parts), EchoWeights(*weights), BodyTotals(*totals)
+    for j in range(0, image[0].shape[0], image[3]):
+        _find_received(image[0], j, lattice, parts, s, weights, row)
+        _find_shares(j, lattice, parts, s, row.share)
+        _find_bodies(image, j, lattice, parts, s, weights, totals.of_strips, row)
+        _add_runs(j, lattice.columns, totals, sums, row)
+
+
+@inlined
+def _find_received(plane_echo, j, lattice, parts, s, weights, row):
+    """Find the bin, the place and the echo of each sample of row j, in a loop that does several at a time."""
+    u0, u1, v0, v1 = (
+        lattice.u[0] + lattice.u[2] * j,
+        lattice.u[1],
+        lattice.v[0] + lattice.v[2] * j,
+        lattice.v[1],
+    )
     low2, high2 = lattice.tan_low * abs(lattice.tan_low), lattice.tan_high * abs(lattice.tan_high)
-    lowest_sine, highest_sine, widest_u = parts.sines[s, 0], parts.sines[s, 1], parts.widest_u[s]
-    received_u = parts.u[parts.first_u[s] : parts.first_u[s + 1]]
-    middles = parts.middle[parts.first_strip[s] : parts.first_strip[s + 1]]
-    first_end = parts.first_strip[s] + s
-    n_strips, half = len(middles), u[1] / 2
+    sine, cosine, lowest_sine, highest_sine = (
+        lattice.sine,
+        lattice.cosine,
+        parts.sines[s, 0],
+        parts.sines[s, 1],
+    )
     # the outermost strips may take samples beyond them
-    reach = widest_u + (half if n_strips else 0.0)
-    per_sine, K = (elevation_table.shape[0] - 1) / 2, gain.shape[0]
-    area = (u[1] * v[2] - u[2] * v[1]) * every
-    # of the row before; of bodies 0, which none has, where no sample counts
-    above, body_above = np.zeros(columns), np.zeros(columns, np.uint16)
-    for j in range(0, plane_echo.shape[0], every):
-        beside, body_beside = 0.0, 0
-        before, past = 0, 0  # of the strips to which the sample is the nearest one of its row
-        for i in range(columns):
-            body_over, over = body_above[i], above[i]
-            body_left, body_beside, body_above[i] = body_beside, 0, 0
-            q = plane_echo[j, i, 0]
-            if q <= 0.0 or plane_echo[j, i, 3] <= 0.0:
-                continue
-            body = body_id[j, i]
-            if not is_counted[body]:
-                continue
-            uc, vc = u[0] + u[1] * i + u[2] * j, v[0] + v[1] * i + v[2] * j
-            v2, u2 = vc * abs(vc), 1.0 + uc * uc
-            if abs(uc) > reach or v2 > high2 * u2 or v2 < low2 * u2:
-                continue
-            if len(received_u) and np.searchsorted(received_u, uc) % 2 == 0:
-                continue  # between two beams
-            L2 = u2 + vc * vc
-            L = math.sqrt(L2)
-            if not lowest_sine * L <= sine - cosine * uc <= highest_sine * L:
-                continue
-            inverse = 1.0 / (L2 * q)  # one division for three
-            k = (L * L2 * inverse - first_m) * per_metre
-            if not 0.0 <= k < K:
-                continue
-            per_L2 = inverse * q
-            place = int(per_sine + vc * L * per_L2 * per_sine + 0.5)
-            pattern = elevation_table[place] if elevation_table.shape[0] else 1.0
-            returned = plane_echo[j, i, 3] * q * area * per_L2 * per_L2 * gain[int(k)] * pattern
-            taken = returned
-            if n_strips:
-                past = _pass_by(middles, past, uc + half)
-                before = _pass_by(middles, before, uc - half)
-                taken = returned * (parts.end[first_end + past] - parts.end[first_end + before]) / u[1]
-            of_strips[body] += taken
-            if abs(uc) > widest_u:
-                continue
-            counts[body] += 1.0
-            echo[body] += returned
-            if body == body_left:
-                along[body] += (returned - beside) ** 2
-            else:
-                sums[body, RUNS_ALONG] += 1.0
-            if body == body_over:
-                across[body] += (returned - over) ** 2
-            else:
-                sums[body, RUNS_ACROSS] += 1.0
-            _add_place(sums, body, i, j)
-            beside, body_beside, above[i], body_above[i] = returned, body, returned, body
+    has_strips = parts.first_strip[s + 1] > parts.first_strip[s]
+    reach = parts.widest_u[s] + (u1 / 2 if has_strips else 0.0)
+    first_m, per_metre, K = weights.first_m, weights.per_metre, weights.gain.shape[0]
+    per_sine = (weights.elevation_table.shape[0] - 1) / 2
+    area = u1 * lattice.v[2] - lattice.u[2] * v1
+    inverse_x, bins, places, echo = row.inverse_x, row.bin, row.place, row.echo
+    for i in range(uint64(lattice.columns)):
+        inverse_x[i], echo[i] = plane_echo[uint64(j), i, 0], plane_echo[uint64(j), i, 3]
+    for i in range(uint64(lattice.columns)):
+        q, mine = inverse_x[i], echo[i]
+        uc, vc = u0 + u1 * i, v0 + v1 * i
+        v2, u2 = vc * abs(vc), 1.0 + uc * uc
+        L2 = u2 + vc * vc
+        L = math.sqrt(L2)
+        inverse = 1.0 / (L2 * q)  # one division for three
+        per_L2, along = inverse * q, sine - cosine * uc
+        k = (L * L2 * inverse - first_m) * per_metre
+        is_in = (abs(uc) <= reach) & (v2 <= high2 * u2) & (v2 >= low2 * u2)
+        is_in &= (lowest_sine * L <= along) & (along <= highest_sine * L)
+        is_in &= (q > 0.0) & (mine > 0.0) & (k >= 0.0) & (k < K)
+        bins[i] = k if is_in else -1.0
+        places[i] = per_sine + vc * L * per_L2 * per_sine + 0.5
+        echo[i] = mine * q * area * per_L2 * per_L2
 
 
 @inlined
-def _pass_by(middles, n, u):
-    """Return the first of rising `middles` from number n on that is above u."""
-    while n < len(middles) and middles[n] <= u:
-        n += 1
-    return n
+def _find_shares(j, lattice, parts, s, share):
+    """Find how much of each sample of row j the strips take, each of them the nearest one; without strips all of it."""
+    first, past = parts.first_strip[s], parts.first_strip[s + 1]
+    share[:] = 0.0 if past > first else 1.0
+    middle, end, u1 = parts.middle, parts.end, lattice.u[1]
+    u0 = lattice.u[0] + lattice.u[2] * j - u1 / 2
+    for p in range(uint64(first), uint64(past)):
+        i, at = (middle[p] - u0) / u1, p + uint64(s)
+        if 0.0 <= i < lattice.columns:
+            share[uint64(i)] += (end[at + uint64(1)] - end[at]) / u1
 
 
 @inlined
-def _add_place(sums, body, i, j):
-    """Add a sample to the moments of its body."""
-    sums[body, N] += 1.0
-    sums[body, I] += i
-    sums[body, J] += j
-    sums[body, II] += i * i
-    sums[body, IJ] += i * j
-    sums[body, JJ] += j * j
+def _find_bodies(image, j, lattice, parts, s, weights, of_strips, row):
+    """Find the body and the echo of the samples of row j that count. Those beside the sector only fill its strips."""
+    (_, body_id, is_counted, every), (u, widest_u) = image, (lattice.u, parts.widest_u[s])
+    gain, elevation_table = weights.gain, weights.elevation_table
+    received_u = parts.u[parts.first_u[s] : parts.first_u[s + 1]]
+    bins, places, echo, body = row.bin, row.place, row.echo, row.body
+    for i in range(uint64(lattice.columns)):
+        number, body[i] = body_id[uint64(j), i], 0
+        if bins[i] < 0.0 or not is_counted[number]:
+            continue
+        uc = u[0] + u[1] * i + u[2] * j
+        if len(received_u) and np.searchsorted(received_u, uc) % 2 == 0:
+            continue  # between two beams
+        pattern = elevation_table[uint64(places[i])] if elevation_table.shape[0] else 1.0
+        echo[i] *= every * gain[uint64(bins[i])] * pattern
+        if abs(uc) <= widest_u:
+            body[i] = number
+        else:
+            of_strips[number] += echo[i] * row.share[i]
+
+
+@inlined
+def _add_runs(j, columns, totals, sums, row):
+    """Add each run of samples of row j on one body to the totals, and to `sums`."""
+    counts, echo, of_strips, along, across, _ = totals
+    mine, share, bodies, over, body_over = row.echo, row.share, row.body, row.echo_over, row.body_over
+    i, past = uint64(0), uint64(columns)
+    while i < past:
+        first, body = i, bodies[i]
+        if body == 0:
+            i += uint64(1)
+            continue
+        returned, taken, beside2, over2 = 0.0, 0.0, 0.0, 0.0
+        n_over, sum_i, sum_ii = 0, 0, 0
+        while i < past and bodies[i] == body:
+            if i > first:
+                beside2 += (mine[i] - mine[i - uint64(1)]) ** 2
+            if body_over[i] == body:
+                over2 += (mine[i] - over[i]) ** 2
+                n_over += 1
+            returned, taken = returned + mine[i], taken + mine[i] * share[i]
+            sum_i, sum_ii = sum_i + np.int64(i), sum_ii + np.int64(i * i)
+            i += uint64(1)
+        n = np.int64(i - first)
+        counts[body] += n
+        echo[body], of_strips[body] = echo[body] + returned, of_strips[body] + taken
+        along[body], across[body] = along[body] + beside2, across[body] + over2
+        sums[body, N] += n
+        sums[body, RUNS_ALONG] += 1
+        sums[body, RUNS_ACROSS] += n - n_over
+        sums[body, I] += sum_i
+        sums[body, J] += n * j
+        sums[body, II] += sum_ii
+        sums[body, IJ] += sum_i * j
+        sums[body, JJ] += n * j * j
+    for i in range(past):
+        over[i], body_over[i] = mine[i], bodies[i]
 
 
 @inlined

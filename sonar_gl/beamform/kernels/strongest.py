@@ -221,16 +221,23 @@ def _pack_panel(panel, runs, k0, columns):
                 pool, share = runs.pools[runs.owner[n]], runs.share[n]
                 low, high = uint64(max(first - k0, 0)), uint64(min(past - k0, TILE_BINS))
                 # main lobe and side lobes, and wide columns, make several runs of one body in one column
-                if n_packed == panel.begins[m] or panel.column[n_packed - 1] != x:
+                is_new = n_packed == panel.begins[m] or panel.column[n_packed - 1] != x
+                if is_new:
                     panel.column[n_packed] = x
                     n_packed += 1
+                is_whole = is_new and high - low == TILE_BINS
+                if is_new and not is_whole:
                     for k in range(uint64((n_packed - 1) * TILE_ROW), uint64(n_packed * TILE_ROW)):
                         moments[k] = 0.0
                 for moment in range(MOMENTS):
                     from_ = uint64(table[n, PLACE] + moment * (past - first) + max(k0 - first, 0))
                     to = uint64((n_packed - 1) * TILE_ROW + moment * TILE_BINS) + low
-                    for k in range(high - low):
-                        moments[to + k] += share * pool[from_ + k]
+                    if is_whole:  # as most are of long runs: the compiler knows the length of this loop
+                        for k in range(uint64(TILE_BINS)):
+                            moments[to + k] = share * pool[from_ + k]
+                    else:
+                        for k in range(high - low):
+                            moments[to + k] += share * pool[from_ + k]
     panel.begins[runs.bodies.shape[0]] = n_packed
 
 
