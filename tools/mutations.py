@@ -2668,13 +2668,11 @@ MUTATIONS = (
     Mutation("cli/signal after the end", "again.cancel()", "pass", SIGNALS),
     Mutation(
         "multipath/whole error of many samples",
-        "if self.images.halvings >= QUADRUPLED else 1.0",
-        "if self.images.halvings > QUADRUPLED else 1.0",
+        "if self.images.halvings >= 0 else 1.0",
+        "if self.images.halvings > 0 else 1.0",
         IMAGE_SAMPLING,
     ),
-    Mutation(
-        "multipath/steps of many samples", "step = 1 if own > QUADRUPLED else 2", "step = 1", IMAGE_SAMPLING
-    ),
+    Mutation("multipath/steps of many samples", "step = 1 if own > 0 else 2", "step = 1", IMAGE_SAMPLING),
     Mutation(
         "multipath/step past what fits",
         "wanted = max(own - step, _finest_for(echo.images))",
