@@ -2603,18 +2603,21 @@ MUTATIONS = (
         ABSENT,
     ),
     Mutation(
-        "batch/reflectivity without a place", "is_present = poses[group[0]] is not None", "pass", ABSENT
+        "batch/reflectivity without a place",
+        "if mu is not None and is_present:",
+        "if mu is not None:",
+        ABSENT,
     ),
     Mutation(
         "batch/beside a floor",
-        "if math.isfinite(gap) else 0.0",
-        "if math.isfinite(gap) else shift[2]",
+        "if math.isfinite(gap):  # else beside the floor: as drawn",
+        "if True:",
         BESIDE_FLOOR,
     ),
     Mutation(
         "batch/plumes that rest",
-        "for name in group if isinstance(known[name], Body)\n        ]",
-        "for name in group\n        ]",
+        "for name, pose in poses.items() if isinstance(known[name], Body)]",
+        "for name, pose in poses.items()]",
         BESIDE_FLOOR,
     ),
     Mutation(

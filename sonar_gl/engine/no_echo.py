@@ -45,12 +45,6 @@ class SilentPings:
         """Count a ping, with this sum of its echo."""
         self._in_a_row = self._in_a_row + 1 if total <= 0 else 0
 
-    def explained(self, reason: str) -> str:
-        """Return the text of a warning for the last ping; that of the last one in a row says so."""
-        if self._in_a_row < MOST_IN_A_ROW:
-            return reason
-        return f"{reason}; said of {MOST_IN_A_ROW} pings in a row, and no more until one has an echo"
-
 
 def why_no_echo(
     scene: Scene, state: SceneState, instrument: Instrument, pose, samples: Sequence[SectorSamples]

@@ -333,8 +333,7 @@ class Run:
         self.silent_pings.add(received.total)
         if is_to_explain:
             instrument, view = self.instrument, received.drawn.view.sectors
-            why = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
-            no_echo = self.silent_pings.explained(why)
+            no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
         estimate, echo = self._direct_error(received), self._multipath_of(received)
         if estimate is not None:
             self.image_sampling.warn_if_unmet(echo)
