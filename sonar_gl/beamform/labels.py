@@ -15,7 +15,7 @@ from sonar_gl.beamform.kernels.beams import BeamTiles, beam_tiles
 from sonar_gl.beamform.kernels.body_sums import LabelRoom, sum_bodies
 from sonar_gl.beamform.kernels.range_bins import BinTable
 from sonar_gl.beamform.kernels.runs import sort_runs, sum_body_echo
-from sonar_gl.beamform.kernels.strongest import StrongestEcho, find_strongest
+from sonar_gl.beamform.kernels.strongest import PingEcho, StrongestEcho, find_strongest
 from sonar_gl.beamform.weights import BeamWeights
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
 from sonar_gl.core.compiled import compiled
@@ -340,6 +340,7 @@ class Labeller:
             means=self._means.empty(),
         )
         mask = np.zeros(n_bodies + 1, bool) if is_background is None else is_background
+        ping = PingEcho(mask, bodies.body_bins, self._middle_m, bodies.direct, gain)
         body_echo = np.zeros((2, n_bodies + 1))
 
         def pick(half):
@@ -349,11 +350,7 @@ class Labeller:
                 tuple(self._columns.tiles),
                 self._parts[half],
                 self._columns.count,
-                self._middle_m,
-                mask,
-                bodies.body_bins,
-                bodies.direct,
-                gain,
+                tuple(ping),
                 tuple(strongest),
             )
 

@@ -120,11 +120,8 @@ def count_samples(samples, parts, weights, totals):
     samples, parts, weights, totals : tuples of CountedSamples, ReceivedParts, EchoWeights and BodyTotals
     """
     plane_echo, body_id, (places, u, v, limits), is_counted, every = samples
-    sums, strands, most = (
-        np.empty((is_counted.shape[0], JJ + 1)),
-        BodyTotals(*totals).strands,
-        places[:, 1].max(),
-    )
+    sums, strands = np.empty((is_counted.shape[0], JJ + 1)), BodyTotals(*totals).strands
+    most = places[:, 1].max()
     row = SampleRow(
         np.empty(most),
         np.empty(most),
@@ -161,19 +158,11 @@ def _count_sector(image, lattice, parts, s, weights, totals, sums, row):
 @inlined
 def _find_received(plane_echo, j, lattice, parts, s, weights, row):
     """Find the bin, the place and the echo of each sample of row j, in a loop that does several at a time."""
-    u0, u1, v0, v1 = (
-        lattice.u[0] + lattice.u[2] * j,
-        lattice.u[1],
-        lattice.v[0] + lattice.v[2] * j,
-        lattice.v[1],
-    )
+    u0, u1 = lattice.u[0] + lattice.u[2] * j, lattice.u[1]
+    v0, v1 = lattice.v[0] + lattice.v[2] * j, lattice.v[1]
     low2, high2 = lattice.tan_low * abs(lattice.tan_low), lattice.tan_high * abs(lattice.tan_high)
-    sine, cosine, lowest_sine, highest_sine = (
-        lattice.sine,
-        lattice.cosine,
-        parts.sines[s, 0],
-        parts.sines[s, 1],
-    )
+    sine, cosine = lattice.sine, lattice.cosine
+    lowest_sine, highest_sine = parts.sines[s, 0], parts.sines[s, 1]
     # the outermost strips may take samples beyond them
     has_strips = parts.first_strip[s + 1] > parts.first_strip[s]
     reach = parts.widest_u[s] + (u1 / 2 if has_strips else 0.0)

@@ -83,21 +83,16 @@ class Panel(NamedTuple):
 
 
 @compiled
-def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_bins, direct, gain, strongest):
+def find_strongest(runs, tiles, part, n_columns, ping, strongest):
     """Find in each bin of some beams the body with the strongest echo, and what is known of that echo.
 
     Parameters
     ----------
-    runs, tiles, strongest : tuples of Runs, BeamTiles and StrongestEcho
+    runs, tiles, ping, strongest : tuples of Runs, BeamTiles, PingEcho and StrongestEcho
     part : (2,) first and past the last of the tiles that are done
     n_columns : of `LabelColumns`
-    middle_m : (K,) float32, of BinTable
-    is_background : (numbers,) bool
-    body_bins : (numbers, 2) int64, first bin in which a body may be and past the last; of no length if not known
-    direct : (B, K) float32, direct echo with the gain; of no length where runs hold all of it
-    gain : (K,) float32
     """
-    runs, tiles, strongest = Runs(*runs), BeamTiles(*tiles), StrongestEcho(*strongest)
+    runs, tiles, ping, strongest = Runs(*runs), BeamTiles(*tiles), PingEcho(*ping), StrongestEcho(*strongest)
     t0, t1 = part
     if t0 >= t1:  # of few beams the other half has all
         return
@@ -110,16 +105,15 @@ def find_strongest(runs, tiles, part, n_columns, middle_m, is_background, body_b
         np.empty(TILE_BEAMS * TILE_BINS, np.int32),
         np.empty(TILE_BINS, np.int32),
     )
-    panel, pasts = _make_panel(runs, n_columns, origin, end, gain.shape[0]), _pasts_of(tiles)
-    ping = PingEcho(is_background, body_bins, middle_m, direct, gain)
+    panel, pasts = _make_panel(runs, n_columns, origin, end, ping.gain.shape[0]), _pasts_of(tiles, t0, t1)
     _find_in_tiles(runs, tiles, pasts, (t0, t1), (origin, end, n_columns), panel, ping, room, strongest)
 
 
 @inlined
-def _pasts_of(tiles):
-    """Return (T,) past the last column that a beam of each tile receives."""
+def _pasts_of(tiles, t0, t1):
+    """Return (T,) past the last column that a beam of each tile receives, of tiles t0 to t1."""
     pasts = tiles.first + tiles.weights.shape[1]
-    for t in range(pasts.shape[0]):
+    for t in range(t0, t1):
         while pasts[t] > tiles.first[t] and not tiles.weights[t, pasts[t] - tiles.first[t] - 1].any():
             pasts[t] -= 1
     return pasts

@@ -67,7 +67,7 @@ class PlacedBodies(NamedTuple):
     """Bodies as seen from one pose.
 
     matrices : (n, 3, 4) sonar_from_body
-    rows : (n, 16), of which ROW_STRENGTH and ROW_SLOPE are those of the specular lobe
+    rows : (n, 16), of which ROW_REFLECTIVITY is the reflectivity, ROW_STRENGTH and ROW_SLOPE are of the specular lobe
     is_cut : (n,) bool, bodies that the clip plane cuts
     closed : (n,) 0 for open meshes
     outside : back faces of closed bodies are not visible
