@@ -2682,6 +2682,12 @@ MUTATIONS = (
         "wanted = own - step",
         IMAGE_SAMPLING,
     ),
+    Mutation(
+        "sequence/reasons by overwritten samples",
+        "if not run.silent_pings.is_to_explain(received.total):",
+        "if True:",
+        ("engine/test_sequence::test_pings_without_an_echo_are_explained_as_in_single_calls",),
+    ),
     Mutation("multipath/more without a comparison", "wanted = max(wanted, 0)", "pass", IMAGE_SAMPLING),
     Mutation(
         "multipath/error of a body that images see",

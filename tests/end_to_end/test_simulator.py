@@ -362,15 +362,14 @@ def test_a_table_of_beams():
     np.testing.assert_allclose(ping.intensity[4].sum(), alone.sum(), rtol=0.02)
 
 
-@pytest.mark.parametrize("in_sequence", [False, True], ids=["ping", "pings"])
-def test_of_pings_without_echo_in_a_row_the_first_are_explained(in_sequence, monkeypatch):
+def test_of_pings_without_echo_in_a_row_the_first_are_explained(monkeypatch):
     """To explain takes longer than a ping, and each text was new: a vehicle in open water met thousands of warnings."""
     n_explained, why = [], run_module.why_no_echo
     monkeypatch.setattr(run_module, "why_no_echo", lambda *args: n_explained.append(1) or why(*args))
     away, there = [sg.pose(-30 - k, 2, 0) for k in range(MOST_IN_A_ROW + 3)], [sg.pose(0, 2, 0)]
     poses = away + there + away[:2]
     with simulator(bodies=(BOX,)) as it, collected_warnings(NoEchoWarning) as found:
-        pings = list(it.pings(poses)) if in_sequence else [it.ping(pose) for pose in poses]
+        pings = [it.ping(pose) for pose in poses]
     assert [ping.meta["has_echo"] for ping in pings] == [False] * len(away) + [True, False, False]
     said = [float(re.search(r"lies at ([0-9.]+) m", warning.text)[1]) for warning in found]
     assert said == [35.5 + k for k in range(MOST_IN_A_ROW)] + [35.5, 36.5]
