@@ -11,6 +11,7 @@ from sonar_gl.core import poses as module
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose, pose, pose_numbers, read_poses
 from sonar_gl.scene.scene import Body
+from tests.support.errors import error_of
 
 HEADER = "t,x,y,z,roll,pitch,yaw"
 
@@ -178,6 +179,67 @@ def test_the_first_mistake_is_named_by_its_line(message, monkeypatch, odd, line,
 
 def test_times_may_be_equal(read):
     assert read("1,0,0,0,0,0,0", "1,1,0,0,0,0,0")[0].tolist() == [1.0, 1.0]
+
+
+COLUMNS = f"the first line must name the columns {HEADER}, or qx,qy,qz,qw in place of the angles"
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        *(
+            (header, f"must hold at least one pose, under the header {HEADER} (got none)")
+            for header in ("", HEADER)
+        ),
+        ("t,x,y,z,roll,pitch", f"line 1: column yaw is not there; {COLUMNS} (got 't,x,y,z,roll,pitch')"),
+        (
+            "t,x,x,y,z,roll,pitch,yaw",
+            f"line 1: column x is more than once; {COLUMNS} (got 't,x,x,y,z,roll,pitch,yaw')",
+        ),
+        *(
+            (
+                HEADER.replace(",", mark),
+                f"line 1: column t is not there; {COLUMNS} (got {HEADER.replace(',', mark)!r}; separate columns by "
+                "commas)",
+            )
+            for mark in (";", "\t", " ", "; ")
+        ),
+        ("0,0,0,0,0,0,0", f"line 1: column t is not there; {COLUMNS} (got '0,0,0,0,0,0,0')"),
+        (
+            "t,x,y,z,qx,qy,qz,roll",
+            "line 1: column qw is not there; the first line must name the columns t,x,y,z,qx,qy,qz,qw (got "
+            "'t,x,y,z,qx,qy,qz,roll')",
+        ),
+    ],
+)
+def test_a_first_line_that_names_no_poses_is_refused(message, header, words):
+    assert message(header=header) == words
+
+
+def test_a_mistake_is_named_by_its_line_also_behind_empty_ones(message):
+    assert message("0,0,0,0,0,0,0", "", "1,2,3") == "line 4: must have 7 cells, as the header has (got 3)"
+    assert message(",0,0,0,0,0,0") == "line 2, column t: must be a finite number (got '')"
+
+
+def test_files_of_poses_that_cannot_be_read(tmp_path):
+    path = tmp_path / "p.csv"
+    for content, words in (
+        (None, "the file of poses must be readable (no such file or directory)"),
+        (b"t,x\xff\n", "the file of poses must be text in UTF-8 (got byte 0xff; save it as UTF-8)"),
+        (HEADER.encode("utf-16"), "the file of poses must be text in UTF-8 (got UTF-16; save it as UTF-8)"),
+    ):
+        if content is not None:
+            path.write_bytes(content)
+        assert error_of(read_poses, path) == f"{path}: {words}"
+    assert error_of(read_poses, tmp_path) == f"{tmp_path}: must be a file (got a folder)"
+
+
+def test_columns_go_by_their_names(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_bytes("\ufeffyaw, pitch,roll,z,y,x,note,t\r\n0.6,0.5,0.4,3,2,1,up,9\r\n\r\n".encode())
+    times_s, poses = read_poses(path)
+    np.testing.assert_array_equal(times_s, [9.0])
+    np.testing.assert_array_equal(poses, [pose(1, 2, 3, 0.4, 0.5, 0.6)])
 
 
 @pytest.mark.parametrize("column", [0, 1, 2])
