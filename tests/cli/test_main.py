@@ -698,16 +698,6 @@ ensure_blas()
 # --- mistakes
 
 
-def test_unknown_scene_and_sonar_name_the_nearest():
-    endings = "a file must end in one of .sdf .world .urdf .xacro .xml .mjcf .glb .gltf .obj .stl .ply .dae"
-    assert refused(scene="pylom") == f"there is no bundled scene 'pylom' (did you mean 'pylon'?; {endings})"
-    known = ", ".join(sorted(sg.bundled_scenes()))
-    assert refused(scene="xxx") == f"there is no bundled scene 'xxx' (known are {known}; {endings})"
-    assert refused(sonar="p900-46") == (
-        "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'm900-45'?)"
-    )
-
-
 def test_a_number_of_threads_without_which_numba_is_not_loaded():
     """Early versions ended in Numba's traceback, which does not name the variable."""
     for text in ("0", "-2"):
@@ -719,31 +709,9 @@ def test_a_number_of_threads_without_which_numba_is_not_loaded():
 def test_scene_files_that_cannot_be_read():
     Path("broken.sdf").write_text("<sdf><world>\n<model></sdf>")
     assert refused(scene="broken.sdf") == "broken.sdf: line 2, column 10: broken XML (mismatched tag)"
-    Path("folder.sdf").mkdir()
-    Path("folder").mkdir()
-    none = "there is no such file (bundled scenes are named without an ending)"
-    assert refused(scene="none.sdf") == f"none.sdf: {none}"
-    assert (
-        refused(scene="folder.sdf")
-        == "folder.sdf: must be a file, or the folder of a model (it has no model.sdf)"
-    )
-    assert refused(scene="folder").startswith("folder: a folder must be that of a model (it has neither ")
     Path("latin.sdf").write_bytes("<sdf><world><model name='é'/></world></sdf>".encode("latin-1"))
     message = refused(scene="latin.sdf")
     assert message == "latin.sdf: line 1, column 26: broken XML (not well-formed (invalid token))"
-    Path("empty.stl").write_bytes(b"")
-    assert refused(scene="empty.stl").startswith("empty.stl: ")
-    Path("holds.sdf").write_text(
-        '<sdf><model name="m"><link name="l"><collision name="c"><geometry><mesh><uri>no.stl</uri></mesh>'
-        "</geometry></collision></link></model></sdf>"
-    )
-    assert refused(scene="holds.sdf").startswith("holds.sdf: models or files are missing:\n  no.stl\n")
-
-
-def test_resource_path_that_is_none():
-    assert refused("--resource-path", "nowhere") == (
-        "resource path 'nowhere' must be a folder (there is none of that name)"
-    )
 
 
 def test_a_pose_beyond_all_seas_is_refused():
@@ -830,30 +798,7 @@ def test_a_pose_without_quotes(command, words):
     assert run(*command, "pylon", "--pose", *words) == (2, "", message)
 
 
-def test_sonar_files_that_make_no_sense():
-    for change, message in (
-        (
-            ("range_max_m = 8.5", "range_max_m = 0.2"),
-            "bad.toml [bad]: sonar 'bad': range_min_m must be less than range_max_m (got 0.5 and 0.2)",
-        ),
-        (
-            ("n_beams = 24", "n_beams = 0"),
-            "bad.toml [bad]: sonar 'bad': n_beams must be a whole number in 1..65536 (got 0)",
-        ),
-        (
-            ("n_beams", "n_beam"),
-            "bad.toml [bad]: unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins_max'?)",
-        ),
-    ):
-        Path("bad.toml").write_text(SONAR.replace(*change))
-        assert refused(sonar="bad.toml") == message
-    Path("bad.toml").write_bytes(b"name = '\xff'")
-    assert refused(sonar="bad.toml") == (
-        "bad.toml: the sonar's file must be TOML in UTF-8 (got byte 0xff in line 1; save it as UTF-8)"
-    )
-    assert refused(sonar="none.toml") == (
-        f"none.toml: the sonar's file must exist (got none there; paths start at {Path.cwd()})"
-    )
+def test_ranges_and_bins_that_no_sonar_has():
     assert refused("--bins", 0) == "sonar 'small': n_bins must be a whole number in 1..65536 (got 0)"
     far = refused("--range", 8000)
     assert far.startswith(
@@ -865,23 +810,10 @@ def test_sonar_files_that_make_no_sense():
         ]
         == 0
     )
-    for text, got in (("0.5", "0.5"), ("nan", "nan"), ("-3", "-3")):
+    for text in ("0.5", "nan", "-3"):
         assert refused("--range", text) == (
-            f"sonar 'small': the range must exceed range_min_m = 0.5 m (got {got})"
+            f"sonar 'small': the range must exceed range_min_m = 0.5 m (got {text})"
         )
-
-
-def test_output_folders_that_cannot_be():
-    assert (
-        refused("--out", "small.toml")
-        == "cannot write into the folder 'small.toml': 'small.toml' is not a folder"
-    )
-    assert refused("--out", "small.toml/deep") == (
-        "cannot write into the folder 'small.toml/deep': 'small.toml' is not a folder"
-    )
-    assert refused("--out", "/proc/deep") == (
-        "cannot write into the folder '/proc/deep': no such file or directory"
-    )
 
 
 @pytest.mark.parametrize("command", ["render", "verify", "view"])
@@ -943,18 +875,14 @@ def test_unknown_names_of_options():
 
 
 def test_numbers_out_of_range():
-    for value, got in ((0, "0.0"), (0.9, "0.9"), ("nan", "nan"), (-1, "-1.0")):
-        assert refused("--tolerance", value) == (
-            f"tolerance must be a number in 0.001..0.5 (got {got}; 0.01 is one per cent)"
-        )
+    assert refused("--tolerance", 0.9) == (
+        "tolerance must be a number in 0.001..0.5 (got 0.9; 0.01 is one per cent)"
+    )
     assert (
         refused("--height", 0)
         == "height of a fan image must be a whole number in 1..16000 (got 0; give pixels)"
     )
     assert refused("--seed", -1) == "seed must be a whole number, 0 or more (got -1)"
-    assert refused("--counts", "low_db=0,high_db=-60") == (
-        "--counts 'low_db=0,high_db=-60': counts: low_db must be less than high_db (got 0 and -60)"
-    )
     assert refused("--counts", "exponent=0.3") == (
         "--counts 'exponent=0.3': counts: exponent needs the law 'power' (got the law 'db')"
     )
@@ -1163,18 +1091,11 @@ def test_water():
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("temp_c=4", "water 'temp_c=4': unknown name (got 'temp_c'; did you mean 'temperature_c'?)"),
-        (
-            "temperature_c",
-            "water 'temperature_c': temperature_c must have a value, as in temperature_c=... (got none)",
-        ),
-        ("temperature_c=cold", "water 'temperature_c=cold': temperature_c must be a number (got 'cold')"),
         (
             "salinity_psu=-1",
             "water: salinity_psu must lie in 0..45 (got -1; give grams of salt per kilogram of water)",
         ),
         ("tvg_k=30", "water 'tvg_k=30': unknown name (got 'tvg_k'; "),
-        ("", "water '': unknown name (got ''; known are "),
     ],
 )
 def test_mistakes_in_water(text, message):
@@ -1200,14 +1121,8 @@ def test_acoustics_are_those_that_the_scene_needs():
         ),
         ("needed,tvg_k=30", "acoustics 'needed,tvg_k=30': needed takes no other settings"),
         ("profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
-        ("tvg_k", "acoustics 'tvg_k': tvg_k must have a value, as in tvg_k=... (got none)"),
-        ("tvg_k=8,tvg_k=8", "acoustics 'tvg_k=8,tvg_k=8': tvg_k must be given once"),
-        ("tvg_k=none", "acoustics 'tvg_k=none': tvg_k must be a number (got 'none')"),
-        ("ph=8", "acoustics 'ph=8': ph describes the water, and is a field of Water now ("),
         ("water=cold", "acoustics 'water=cold': water has an option of its own (give --water "),
-        ("specular=maybe", "acoustics 'specular=maybe': specular must be yes or no (got 'maybe')"),
         ("tvg_k=400", "acoustics: tvg_k must lie in 0..60 (got 400; usual are 20, 30 and 40)"),
-        ("multipath=coherrent", "acoustics: unknown multipath (got 'coherrent'; did you mean 'coherent' or "),
     ],
 )
 def test_mistakes_in_acoustics(text, message):
