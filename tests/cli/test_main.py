@@ -452,26 +452,14 @@ def test_resource_path_and_skip_missing():
 
 
 def test_empty_ping_warns_on_one_line():
-    arguments = (
-        "--sonar",
-        "small.toml",
-        "--tolerance",
-        0.05,
-        "--height",
-        40,
-        "--pose",
-        "0 0 0 0 0 3.14159265",
-        "--noise",
-        "none",
-    )
-    status, out, err = run("render", "tank.sdf", *arguments)
+    quick = "render tank.sdf --sonar small.toml --tolerance 0.05 --height 40 --noise none --pose"
+    status, out, err = run(*quick.split(), "0 0 0 0 0 3.14159265")
     assert status == 0 and "80 bins, no echo; " in out
     assert re.fullmatch(
         r"warning: no echo came back: no surface lies in the fan; the nearest is 'box', .*\n", err
     )
     assert not ping().intensity.any()
-    picture = cv2.imread("tank.png")
-    assert picture.shape[0] == 40
+    assert cv2.imread("tank.png").shape[0] == 40
 
 
 def test_a_warning_is_told_once():
@@ -571,7 +559,7 @@ def test_materials_lists_every_material_with_its_reflection_echo_and_source():
     assert max(map(len, out.splitlines())) <= 100
 
 
-HEAVY = [
+HEAVY = (
     "numpy",
     "scipy",
     "numba",
@@ -583,7 +571,7 @@ HEAVY = [
     "PIL",
     "pydantic",
     "tqdm",
-]
+)
 
 
 def examples():
@@ -1019,15 +1007,8 @@ def test_process_renders_and_says_nothing_on_stderr():
 
 @pytest.mark.slow
 def test_process_without_egl():
-    done = process(
-        "render",
-        "tank.sdf",
-        "--sonar",
-        "small.toml",
-        "--engine",
-        "opengl",
-        __EGL_VENDOR_LIBRARY_FILENAMES="/nowhere.json",
-    )
+    words = "render", "tank.sdf", "--sonar", "small.toml", "--engine", "opengl"
+    done = process(*words, __EGL_VENDOR_LIBRARY_FILENAMES="/nowhere.json")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: {NO_EGL.format('requested device index 0, but found 0 devices')}\n"
 
@@ -1038,9 +1019,8 @@ def test_process_with_too_old_an_opengl():
     with gl.create_context() as context:
         if "Mesa" not in gl.describe(context)["version"]:
             pytest.skip("needs Mesa")
-    done = process(
-        "render", "tank.sdf", "--sonar", "small.toml", "--engine", "opengl", MESA_GL_VERSION_OVERRIDE="3.1"
-    )
+    words = "render", "tank.sdf", "--sonar", "small.toml", "--engine", "opengl"
+    done = process(*words, MESA_GL_VERSION_OVERRIDE="3.1")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: OpenGL must be ") and done.stderr.count("\n") == 1
 
@@ -1063,10 +1043,8 @@ def test_process_in_ascii_tells_mistakes():
 
 
 def test_acoustics_change_fields_of_a_profile():
-    render(
-        "--acoustics",
-        "tvg_k=30,elevation_pattern=gaussian,specular=off,tvg_absorption_db_m=0.5,multipath=none",
-    )
+    text = "tvg_k=30,elevation_pattern=gaussian,specular=off,tvg_absorption_db_m=0.5,multipath=none"
+    render("--acoustics", text)
     made = ping().meta["acoustics"]
     wanted = sg.Acoustics.physical(
         tvg_k=30.0, elevation_pattern="gaussian", specular=False, tvg_absorption_db_m=0.5, multipath="none"
@@ -1088,20 +1066,6 @@ def test_water():
     assert ping().meta["acoustics"] == sg.needed_acoustics(scene, sonar, 0.05, sg.pose(), water).meta()
 
 
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        (
-            "salinity_psu=-1",
-            "water: salinity_psu must lie in 0..45 (got -1; give grams of salt per kilogram of water)",
-        ),
-        ("tvg_k=30", "water 'tvg_k=30': unknown name (got 'tvg_k'; "),
-    ],
-)
-def test_mistakes_in_water(text, message):
-    assert refused("--water", text).startswith(f"--{message}")
-
-
 def test_acoustics_are_those_that_the_scene_needs():
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
     render("--acoustics", "needed")
@@ -1113,20 +1077,18 @@ def test_acoustics_are_those_that_the_scene_needs():
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    ("option", "text", "message"),
     [
-        (
-            "multipth=none",
-            "acoustics 'multipth=none': unknown name (got 'multipth'; did you mean 'multipath'?)",
-        ),
-        ("needed,tvg_k=30", "acoustics 'needed,tvg_k=30': needed takes no other settings"),
-        ("profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
-        ("water=cold", "acoustics 'water=cold': water has an option of its own (give --water "),
-        ("tvg_k=400", "acoustics: tvg_k must lie in 0..60 (got 400; usual are 20, 30 and 40)"),
+        ("acoustics", "needed,tvg_k=30", "acoustics 'needed,tvg_k=30': needed takes no other settings"),
+        ("acoustics", "profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
+        ("acoustics", "water=cold", "acoustics 'water=cold': water has an option of its own (give --water "),
+        ("acoustics", "tvg_k=400", "acoustics: tvg_k must lie in 0..60 (got 400; usual are 20, 30 and 40)"),
+        ("water", "tvg_k=30", "water 'tvg_k=30': unknown name (got 'tvg_k'; "),
+        ("water", "salinity_psu=-1", "water: salinity_psu must lie in 0..45 (got -1; give grams of salt "),
     ],
 )
-def test_mistakes_in_acoustics(text, message):
-    assert refused("--acoustics", text).startswith(f"--{message}")
+def test_mistakes_in_settings_are_told_of_their_option(option, text, message):
+    assert refused(f"--{option}", text).startswith(f"--{message}")
 
 
 def test_what_a_scene_needs_is_of_the_profile_physical():
