@@ -34,18 +34,18 @@ def centre(picture):
     return columns.mean(), rows.mean()
 
 
-def cloud(n=20000, seed=0, fov_rad=math.pi / 2):
+def cloud(n=20000, fov_rad=math.pi / 2):
     """Return random points (n, 3) within a fan and their intensities (n,)."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     azimuth, range_m = rng.uniform(-fov_rad / 2, fov_rad / 2, n), rng.uniform(0.5, 10, n)
     points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), rng.normal(0, 1, n)], axis=1)
     return points, rng.uniform(0, 255, n)
 
 
-def scan(rows=40, columns=160, fov_rad=math.pi / 2):
+def scan(rows=40, columns=160):
     """Return points and intensities of a scan by rows: a floor 2 m below, and a post to port."""
     elevation = np.radians(np.linspace(-40, -12, rows))[:, None]
-    azimuth = np.linspace(-fov_rad / 2, fov_rad / 2, columns)
+    azimuth = np.linspace(-math.pi / 4, math.pi / 4, columns)
     direction = np.stack(
         np.broadcast_arrays(
             np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)

@@ -19,7 +19,7 @@ SCENE = """<sdf version='1.9'><model name='m'><link name='l'><collision name='c'
 <uri>{}</uri></mesh></geometry><laser_retro>255</laser_retro></collision></link></model></sdf>"""
 
 
-def write_gltf(path, uri, n_bytes=TRIANGLE.nbytes):
+def write_gltf(path, uri):
     """Write a glTF of one triangle, whose vertices are the first bytes of its buffer."""
     view = {"buffer": 0, "byteOffset": 0, "byteLength": TRIANGLE.nbytes}
     content = {
@@ -30,7 +30,7 @@ def write_gltf(path, uri, n_bytes=TRIANGLE.nbytes):
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 4}]}],
         "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
         "bufferViews": [view],
-        "buffers": [{"uri": uri, "byteLength": n_bytes}],
+        "buffers": [{"uri": uri, "byteLength": TRIANGLE.nbytes}],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content))
