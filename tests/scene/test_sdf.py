@@ -75,6 +75,15 @@ def write(path, inside, world=True):
     return path
 
 
+def read_warned(tmp_path, inside, *paths, **options):
+    """Return the scene of a world, and the texts of its warnings without the path of its file."""
+    path = write(tmp_path / "a.sdf", inside)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = read_sdf(path, paths, **options)
+    return scene, [str(w.message).removeprefix(f"{path}: ") for w in caught]
+
+
 @pytest.fixture
 def read(tmp_path):
     """A function that reads a world with these elements; warnings are errors unless a test catches them."""
@@ -297,16 +306,9 @@ def test_shapes_of_a_link_are_one_body_with_one_reflectivity_per_face(read):
 
 def test_one_warning_names_the_bodies_without_laser_retro(tmp_path):
     bare = f"<collision name='c'>{BOX}</collision>"
-    path = write(
-        tmp_path / "a.sdf",
-        model(link(shape=bare), "x") + model(link(), "y") + model(link(shape=bare), "z"),
-    )
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        scene = read_sdf(path)
-    assert [str(w.message) for w in caught] == [
-        f"{path}: no <laser_retro> in 2 of 3 bodies (x, z); their reflectivity is taken as 0.5"
-    ]
+    inside = model(link(shape=bare), "x") + model(link(), "y") + model(link(shape=bare), "z")
+    scene, texts = read_warned(tmp_path, inside)
+    assert texts == ["no <laser_retro> in 2 of 3 bodies (x, z); their reflectivity is taken as 0.5"]
     assert [b.reflectivity for b in scene.bodies] == [0.5, 1.0, 0.5]
 
 
@@ -383,11 +385,9 @@ def test_an_elevation_model_keeps_its_heights_and_needs_a_size(tmp_path, read):
     sized = field.format("<size>3793 3563 1481.5</size>")
     (body,) = read(model(link(shape=shape(RETRO, geometry=sized)))).bodies
     np.testing.assert_array_equal(body.mesh.bounds, [[-1896.5, -1781.5, -1481.5], [1896.5, 1781.5, 0]])
-    path = write(tmp_path / "b.sdf", model(link(shape=shape(RETRO, geometry=field.format("")))))
-    with pytest.warns(UserWarning) as caught:
-        read_sdf(path)
-    assert [str(w.message) for w in caught] == [
-        f"{path}: height maps without <size> are 1 m wide and long, which is SDF's default: "
+    _, texts = read_warned(tmp_path, model(link(shape=shape(RETRO, geometry=field.format("")))))
+    assert texts == [
+        "height maps without <size> are 1 m wide and long, which is SDF's default: "
         "world/model[m]/link[link]/collision[c]/geometry/heightmap"
     ]
 
@@ -414,11 +414,9 @@ def test_models_stand_where_the_state_of_gazebo_classic_says(tmp_path):
     parts = link(name="a", shape=shape(RETRO)) + link(name="b", shape=shape(RETRO))
     flat = model(model(link(name="d", shape=shape(RETRO)), name="part"), name="flat")
     rock = model(link(shape=shape(RETRO)), name="rock")
-    path = write(tmp_path / "a.world", model(parts + inner, name="gate") + flat + rock + STATE)
-    with pytest.warns(UserWarning) as caught:
-        scene = read_sdf(path)
-    assert [str(one.message) for one in caught] == [
-        f"{path}: models stand where <state> says, as in Gazebo Classic (gate, flat); <scale> of <state> is left out "
+    scene, texts = read_warned(tmp_path, model(parts + inner, name="gate") + flat + rock + STATE)
+    assert texts == [
+        "models stand where <state> says, as in Gazebo Classic (gate, flat); <scale> of <state> is left out "
         "(gate)"
     ]
     middles = {body.name: (body.pose @ [*body.surface.vertices.mean(axis=0), 1])[:3] for body in scene.bodies}
@@ -453,11 +451,9 @@ def test_what_gazebo_shows_and_is_not_read_is_told(tmp_path):
     inside = (
         "<actor name='swimmer'/><road name='quay'/><population name='crates'><model name='c'/></population>"
     )
-    path = write(tmp_path / "a.world", f"{inside}<include><uri>{walker.parent.name}</uri></include>")
-    with pytest.warns(UserWarning) as caught:
-        read_sdf(path)
-    assert [str(one.message) for one in caught] == [
-        f"{path}: actors, populations and roads are left out "
+    _, texts = read_warned(tmp_path, f"{inside}<include><uri>{walker.parent.name}</uri></include>")
+    assert texts == [
+        "actors, populations and roads are left out "
         "(actor swimmer, road quay, population crates, actor walker)"
     ]
 
@@ -541,11 +537,9 @@ def test_changes_of_included_models_are_left_out_with_a_warning(tmp_path, declar
     add_model(tmp_path, "rock")
     change = "<pose element_id='link' action='modify'>1 0 0 0 0 0</pose>"
     params = f"<experimental:params{declared}>{change}</experimental:params>"
-    path = write(tmp_path / "a.sdf", f"<include><name>reef</name><uri>model://rock</uri>{params}</include>")
-    with pytest.warns(UserWarning) as caught:
-        read_sdf(path)
-    text = f"{path}: changes of included models by <experimental:params> are left out (reef)"
-    assert text in [str(w.message) for w in caught]
+    include = f"<include><name>reef</name><uri>model://rock</uri>{params}</include>"
+    _, texts = read_warned(tmp_path, include)
+    assert "changes of included models by <experimental:params> are left out (reef)" in texts
 
 
 def test_order_of_argument_environment_and_own_folder(tmp_path, monkeypatch, read):
@@ -664,12 +658,9 @@ def test_of_much_that_is_missing_the_first_is_explained(tmp_path, message):
 
 def test_skip_missing_warns_once_and_carries_on(tmp_path):
     (tmp_path / "models").mkdir()
-    path = write(tmp_path / "a.sdf", MISSING_WORLD)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        scene = read_sdf(path, [tmp_path / "models"], skip_missing=True)
+    scene, texts = read_warned(tmp_path, MISSING_WORLD, tmp_path / "models", skip_missing=True)
     uris = "model://no, https://fuel.gazebosim.org/1.0/a/models/b, a.stl"
-    assert [str(w.message) for w in caught] == [f"{path}: read without what is missing ({uris})"]
+    assert texts == [f"read without what is missing ({uris})"]
     assert [b.name for b in scene.bodies] == ["m::other", "beside"]
 
 
@@ -788,28 +779,23 @@ def test_large_angles_are_radians_and_warn_once(tmp_path):
     """As in Gazebo: any number is an angle, though these are nearly always degrees."""
     turned = SHAPE.replace("<geometry>", "<pose>0 0 0 45 0 0</pose><geometry>")
     world = model("<pose>1 0 0 0 0 -105</pose>" + link(), "a") + model(link(shape=turned), "b")
-    path = write(tmp_path / "a.sdf", world + model("<pose degrees='true'>0 0 0 0 0 720</pose>" + link(), "c"))
-    with pytest.warns(UserWarning) as caught:
-        a, b, _ = read_sdf(path).bodies
+    world += model("<pose degrees='true'>0 0 0 0 0 720</pose>" + link(), "c")
+    scene, (text,) = read_warned(tmp_path, world)
+    a, b, _ = scene.bodies
     np.testing.assert_allclose(a.pose, pose(1, 0, 0, 0, 0, -105 + 34 * np.pi), rtol=0, atol=ROUNDING)
     corner = pose(0, 0, 0, 45 - 14 * np.pi) @ (1, 2, 3, 1)
     assert np.abs(b.mesh.vertices - corner[:3]).max(axis=1).min() < 1e-9
-    (message,) = (str(w.message) for w in caught)
-    assert message == (
-        f"{path}: 2 poses have angles of more than 2.5π, read as radians, as by Gazebo; if they are degrees, write "
+    assert text == (
+        "2 poses have angles of more than 2.5π, read as radians, as by Gazebo; if they are degrees, write "
         '<pose degrees="true"> (world/model[a]/pose, world/model[b]/link[link]/collision[c]/pose)'
     )
 
 
 def test_laser_retro_above_255_reflects_all_and_warns_once(tmp_path):
     shapes = shape("<laser_retro>1150</laser_retro>") + shape("<laser_retro>500</laser_retro>", "d")
-    path = write(tmp_path / "a.sdf", model(link(shape=shapes)) + model(link(), "other"))
-    with pytest.warns(UserWarning) as caught:
-        bodies = read_sdf(path).bodies
-    assert [body.reflectivity for body in bodies] == [1.0, 1.0]
-    assert [str(w.message) for w in caught] == [
-        f"{path}: <laser_retro> is more than 255 in 1 of 2 bodies (m); their reflectivity is taken as 1"
-    ]
+    scene, texts = read_warned(tmp_path, model(link(shape=shapes)) + model(link(), "other"))
+    assert [body.reflectivity for body in scene.bodies] == [1.0, 1.0]
+    assert texts == ["<laser_retro> is more than 255 in 1 of 2 bodies (m); their reflectivity is taken as 1"]
 
 
 @pytest.mark.parametrize(
@@ -827,13 +813,9 @@ def test_a_file_whose_laser_retro_are_shares_of_one_warns_once(tmp_path, values,
     """Meant as reflectivities they are taken as 1/255 of these. What an image overrides says nothing."""
     retro = ["" if value is None else f"<laser_retro>{value}</laser_retro>" for value in values]
     inner = "".join(model(link(shape=shape(text)), f"m{k}") for k, text in enumerate(retro))
-    path = write(tmp_path / "a.sdf", inner)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        read_sdf(path)
-    texts = [str(w.message) for w in caught if "no <laser_retro> in" not in str(w.message)]
+    texts = [text for text in read_warned(tmp_path, inner)[1] if "no <laser_retro> in" not in text]
     assert texts == [
-        f"{path}: no <laser_retro> is more than 1 (got {shown}), where 255 stands for a reflectivity of 1; multiply "
+        f"no <laser_retro> is more than 1 (got {shown}), where 255 stands for a reflectivity of 1; multiply "
         "them by 255 if they are reflectivities"
     ] * (shown is not None)
 
@@ -842,7 +824,7 @@ def test_warnings_name_the_shapes_where_other_shapes_of_the_link_are_without_fau
     sheet = shape("", "water_plane", geometry=SHEET)
     shapes = shape(RETRO, "good") + shape("", "bare") + shape("", "too", "visual") + sheet
     shapes += "".join(shape(f"<laser_retro>{n}</laser_retro>", f"shiny_{n}") for n in (1150, 500))
-    _, texts = read_wet(tmp_path, model(link(shape=shapes), "rov") + model(link(shape=shape()), "rock"))
+    _, texts = read_warned(tmp_path, model(link(shape=shapes), "rov") + model(link(shape=shape()), "rock"))
     assert texts == [
         "water and marks are no bodies, and are left out (rov::link/collision[water_plane]); "
         "the water's surface is taken from its shape, z = 0 m",
@@ -903,15 +885,11 @@ def test_skip_missing_leaves_out_unknown_shapes(tmp_path):
     shapes = (
         shape(RETRO, geometry="<geometry><torus/></geometry>") + "<collision name='d'/>" + shape(RETRO, "e")
     )
-    path = write(tmp_path / "a.sdf", model(link(shape=shapes)))
-    with pytest.warns(UserWarning) as caught:
-        (body,) = read_sdf(path, skip_missing=True).bodies
-    (text,) = (str(w.message) for w in caught)
-    assert (
-        "collision[c]/geometry/torus: unknown geometry" in text and "collision[d]: must hold a <geom" in text
-    )
-    assert text.startswith(f"{path}: read without shapes that cannot be read (")
-    np.testing.assert_array_equal(np.ptp(body.surface.vertices, axis=0), (2, 4, 6))
+    scene, (text,) = read_warned(tmp_path, model(link(shape=shapes)), skip_missing=True)
+    assert text.startswith("read without shapes that cannot be read (")
+    assert "collision[c]/geometry/torus: unknown geometry" in text
+    assert "collision[d]: must hold a <geom" in text
+    np.testing.assert_array_equal(np.ptp(scene.bodies[0].surface.vertices, axis=0), (2, 4, 6))
 
 
 def test_skip_missing_leaves_out_files_that_cannot_be_read(tmp_path):
@@ -1050,15 +1028,6 @@ def visual(name, geometry=SHEET, material="", z=0.0):
     return f"<visual name='{name}'><pose>0 0 {z} 0 0 0</pose>{geometry}{script}</visual>"
 
 
-def read_wet(tmp_path, inside):
-    """Return the scene of a world, and the texts of its warnings."""
-    path = write(tmp_path / "a.sdf", inside)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        scene = read_sdf(path)
-    return scene, [str(w.message).removeprefix(f"{path}: ") for w in caught]
-
-
 @pytest.mark.parametrize(
     ("inside", "name"),
     [
@@ -1077,7 +1046,7 @@ def read_wet(tmp_path, inside):
 )
 def test_water_is_no_wall(tmp_path, inside, name):
     """The naive reader makes it a body of reflectivity 0.5, and a sonar that looks up finds nothing else."""
-    scene, texts = read_wet(tmp_path, inside + model(link(), "rock"))
+    scene, texts = read_warned(tmp_path, inside + model(link(), "rock"))
     assert [body.name for body in scene.bodies] == ["rock"]
     assert scene.surface_z_m == 3.0
     assert texts == [
@@ -1094,17 +1063,17 @@ def test_walls_of_water_have_no_surface_and_floors_stay(tmp_path):
         "wreck",
     )
     floor = model(link(shape=shape(RETRO, "seafloor"), name="ocean_link"), "ocean")
-    scene, texts = read_wet(tmp_path, ocean + floor)
+    scene, texts = read_warned(tmp_path, ocean + floor)
     assert [body.name for body in scene.bodies] == ["wreck", "ocean"] and scene.surface_z_m == -1.0
     assert len(texts) == 1 and "(wreck::ocean_link)" in texts[0]
 
 
 def test_the_surface_of_a_volume_is_its_top_and_of_a_mesh_its_origin(tmp_path):
     volume = "<geometry><box><size>40 30 8</size></box></geometry>"
-    scene, _ = read_wet(tmp_path, model(link(shape=visual("water", volume, z=-3)), "tank"))
+    scene, _ = read_warned(tmp_path, model(link(shape=visual("water", volume, z=-3)), "tank"))
     assert scene.surface_z_m == 1.0
     mesh = "<geometry><mesh><uri>file://Media/models/sea_surface.dae</uri></mesh></geometry>"
-    scene, texts = read_wet(
+    scene, texts = read_warned(
         tmp_path, model(link(shape=visual("ocean_surface", mesh, z=2)) + link(name="rock"))
     )
     assert scene.surface_z_m == 2.0 and len(texts) == 1  # the mesh is not missing
@@ -1114,14 +1083,14 @@ def test_the_files_own_surface_wins(tmp_path):
     text = (
         "<sonar_gl:surface>7</sonar_gl:surface>" + model(link(shape=visual("water")), "sea") + model(link())
     )
-    scene, texts = read_wet(tmp_path, text)
+    scene, texts = read_warned(tmp_path, text)
     assert scene.surface_z_m == 7.0
     assert texts == ["water and marks are no bodies, and are left out (sea::link)"]
 
 
 def test_the_surface_of_a_model_with_a_floor_is_told(tmp_path):
     """Its collision is the floor, and its visuals make no bodies."""
-    scene, texts = read_wet(
+    scene, texts = read_warned(
         tmp_path,
         model(link(shape=SHAPE + visual("top", material="UUVSimulator/StaticDeepWater")), "ocean_box"),
     )
@@ -1132,7 +1101,7 @@ def test_the_surface_of_a_model_with_a_floor_is_told(tmp_path):
 @pytest.mark.parametrize("name", ["world_ned", "axes", "ned_frame", "origin", "map_frame"])
 def test_marks_are_left_out(tmp_path, name):
     axis = visual("N", "<geometry><cylinder><radius>0.01</radius><length>1</length></cylinder></geometry>")
-    scene, texts = read_wet(tmp_path, model(link(shape=axis), name) + model(link()))
+    scene, texts = read_warned(tmp_path, model(link(shape=axis), name) + model(link()))
     assert [body.name for body in scene.bodies] == ["m"] and scene.surface_z_m is None
     assert texts == [f"water and marks are no bodies, and are left out ({name}::link)"]
 
@@ -1141,7 +1110,7 @@ def test_marks_are_left_out(tmp_path, name):
 def test_invisible_visuals_are_left_out(tmp_path, transparency, is_left_out):
     """Worlds of Gazebo put one above the sea's floor, 300 km wide."""
     seen = visual("v").replace("</visual>", f"<transparency>{transparency}</transparency></visual>")
-    scene, texts = read_wet(tmp_path, model(link(shape=seen), "plane") + model(link(shape=SHAPE + seen)))
+    scene, texts = read_warned(tmp_path, model(link(shape=seen), "plane") + model(link(shape=SHAPE + seen)))
     assert [body.name for body in scene.bodies] == (["m"] if is_left_out else ["plane", "m"])
     assert (
         len(texts) == 1 and ("marks are no bodies, and are left out (plane::link)" in texts[0]) == is_left_out
@@ -1152,7 +1121,7 @@ def test_an_invisible_visual_with_which_things_collide_is_no_mark(tmp_path):
     """Its link has the echo of its visuals, as one of them says how it echoes and the collision does not."""
     seen = visual("v").replace("</visual>", f"{RETRO}</visual>")
     unseen = visual("w", z=1.0).replace("</visual>", "<transparency>1</transparency></visual>")
-    scene, _ = read_wet(tmp_path, model(link(shape=shape() + seen + unseen)))
+    scene, _ = read_warned(tmp_path, model(link(shape=shape() + seen + unseen)))
     assert scene.bodies[0].surface.vertices[:, 2].max() == pytest.approx(1.05, rel=ROUNDING)
 
 
@@ -1174,7 +1143,7 @@ def test_an_invisible_visual_with_which_things_collide_is_no_mark(tmp_path):
     ],
 )
 def test_what_is_neither_water_nor_mark_stays(tmp_path, name, inside):
-    scene, _ = read_wet(tmp_path, model(inside, name))
+    scene, _ = read_warned(tmp_path, model(inside, name))
     assert [body.name for body in scene.bodies] == [name]
 
 
@@ -1785,12 +1754,11 @@ def test_names_of_files_may_be_escaped_as_in_uris(tmp_path, read, message, schem
 )
 def test_an_unknown_tag_of_numbers_in_a_shape_is_told_of(tmp_path, geometry, tag, hint):
     """SDF's default takes the place of the size that it was meant for, a body of another size."""
-    body = link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>"))
-    path = write(tmp_path / "a.sdf", model(body))
-    with pytest.warns(UserWarning) as caught:
-        read_sdf(path)
-    assert [str(w.message) for w in caught] == [
-        f"{path}: tags that SDF does not know there are left out: world/model[m]/link[link]/collision[c]/"
+    _, texts = read_warned(
+        tmp_path, model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")))
+    )
+    assert texts == [
+        "tags that SDF does not know there are left out: world/model[m]/link[link]/collision[c]/"
         f"geometry/{tag} ({hint})"
     ]
 
@@ -1822,11 +1790,9 @@ POSES, IN_FRAME = A_POSE + ANOTHER_POSE, "<pose relative_to='f'/>"
 )  # fmt: skip
 def test_where_one_element_may_stand_the_first_is_read_and_others_are_told_of(tmp_path, inside, places):
     add_model(tmp_path, "buoy", model(link(), "buoy"))
-    path = write(tmp_path / "a.sdf", inside)
-    with pytest.warns(UserWarning) as caught:
-        scene = read_sdf(path, [tmp_path])
-    told = f"{path}: where one element may stand, the first is read, and others are left out ({places})"
-    assert [str(w.message) for w in caught] == [told]
+    scene, texts = read_warned(tmp_path, inside, tmp_path)
+    told = f"where one element may stand, the first is read, and others are left out ({places})"
+    assert texts == [told]
     (body,) = scene.bodies
     middle = body.mesh.vertices.mean(axis=0)
     assert (body.pose[:3, 3] + middle).tolist() == [5, 0, 0]
@@ -1883,9 +1849,4 @@ def test_a_second_model_in_the_file_of_a_model_is_told_of(tmp_path):
     ],
 )
 def test_shapes_out_of_links_and_misspelt_tags_are_told_of(tmp_path, inside, told):
-    path = write(tmp_path / "a.sdf", inside)
-    with pytest.warns(UserWarning) as caught:
-        read_sdf(path)
-    assert [str(w.message) for w in caught] == [
-        f"{path}: tags that SDF does not know there are left out: {told}"
-    ]
+    assert read_warned(tmp_path, inside)[1] == [f"tags that SDF does not know there are left out: {told}"]
