@@ -121,9 +121,7 @@ def test_angles_count_where_a_file_has_both(read):
     ],
 )
 def test_pose_of_what_is_not_six_numbers(numbers, message):
-    with pytest.raises(Error) as caught:
-        pose(*numbers)
-    assert str(caught.value) == message
+    assert error_of(pose, *numbers) == message
 
 
 def test_a_pose_that_rounding_has_bent():
@@ -133,9 +131,7 @@ def test_a_pose_that_rounding_has_bent():
         (1.01, "scale the mesh"),
     ):
         bent = turned * [[factor, factor, factor, 1]]
-        with pytest.raises(Error) as caught:
-            check_pose(bent)
-        assert f"(its 3x3 part scales, shears or reflects; {advice}" in str(caught.value)
+        assert f"(its 3x3 part scales, shears or reflects; {advice}" in error_of(check_pose, bent)
 
 
 def test_plain_rows_are_not_parsed_cell_by_cell(read, monkeypatch):
@@ -303,9 +299,7 @@ def test_only_rotations_and_translations_are_poses():
     ],
 )
 def test_a_position_and_a_quaternion_are_no_pose(given, got):
-    with pytest.raises(Error) as caught:
-        check_pose(given, "poses[2]")
-    assert str(caught.value) == (
+    assert error_of(check_pose, given, "poses[2]") == (
         f"poses[2] must have shape (4, 4) (got {got}; of a position and a quaternion, fill np.eye(4): [:3, :3] with "
         "scipy.spatial.transform.Rotation.from_quat(xyzw).as_matrix(), and [:3, 3] with the position)"
     )
@@ -319,9 +313,7 @@ def test_a_position_and_a_quaternion_are_no_pose(given, got):
     ],
 )
 def test_parts_of_several_shapes_are_no_pose(given):
-    with pytest.raises(Error) as caught:
-        check_pose(given)
-    assert str(caught.value) == (
+    assert error_of(check_pose, given) == (
         f"pose must have shape (4, 4) (got a {type(given).__name__} of parts of several shapes; sonar_gl.pose makes "
         "one from x y z roll pitch yaw)"
     )

@@ -21,6 +21,7 @@ from sonar_gl.scene.primitives import closedness
 from sonar_gl.scene.sdf import extensions, frames, reader, resources
 from sonar_gl.scene.sdf.reader import read_sdf
 from sonar_gl.scene.sdf.shapes import EXTENSIONS
+from tests.support.errors import error_of
 
 ROUNDING = 1e-12  # of a few products of float64 matrices
 BOX = "<geometry><box><size>2 4 6</size></box></geometry>"
@@ -440,9 +441,9 @@ def test_a_state_without_poses_or_with_bad_ones(tmp_path, read):
     ).bodies
     assert np.array_equal(body.pose, np.eye(4))
     path = write(tmp_path / "a.world", shaped + "<state><model name='m'><pose>1 2</pose></model></state>")
-    with pytest.raises(Error) as caught:
-        read_sdf(path)
-    assert str(caught.value) == f"{path}: world/state/model[m]/pose: must be 6 finite numbers (got '1 2')"
+    assert (
+        error_of(read_sdf, path) == f"{path}: world/state/model[m]/pose: must be 6 finite numbers (got '1 2')"
+    )
 
 
 def test_what_gazebo_shows_and_is_not_read_is_told(tmp_path):
@@ -1164,9 +1165,7 @@ def test_billion_laughs_and_external_entities_are_refused(tmp_path):
     ):
         path = tmp_path / "a.sdf"
         path.write_text(f"<?xml version='1.0'?>{dtd}<sdf><world name='w'>{use}</world></sdf>")
-        with pytest.raises(Error) as caught:
-            read_sdf(path)
-        assert str(caught.value) == f"{path}: {REFUSED}"
+        assert error_of(read_sdf, path) == f"{path}: {REFUSED}"
 
 
 def test_an_included_file_must_not_declare_a_document_type(tmp_path, message):
@@ -1179,9 +1178,7 @@ def test_huge_files_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(resources, "MAX_XML_BYTES", 1_000_000)
     path = tmp_path / "a.sdf"
     path.write_text("<sdf>" + " " * 1_000_000 + "</sdf>")
-    with pytest.raises(Error) as caught:
-        read_sdf(path)
-    assert str(caught.value) == f"{path}: a scene file must not exceed 1 MB of XML"
+    assert error_of(read_sdf, path) == f"{path}: a scene file must not exceed 1 MB of XML"
 
 
 @pytest.mark.parametrize("uri", ["../out/b.stl", "file://../out/b.stl", "model://../out/b.stl", "ABSOLUTE"])
@@ -1191,9 +1188,7 @@ def test_paths_out_of_the_folders_are_refused(tmp_path, uri):
     uri = f"file://{tmp_path}/out/b.stl" if uri == "ABSOLUTE" else uri
     mesh = f"<collision name='c'><geometry><mesh><uri>{uri}</uri></mesh></geometry>{RETRO}</collision>"
     path = write(tmp_path / "in" / "a.sdf", model(link(shape=mesh)))
-    with pytest.raises(Error) as caught:
-        read_sdf(path, skip_missing=True)
-    assert str(caught.value) == (
+    assert error_of(read_sdf, path, skip_missing=True) == (
         f"{path}: world/model[m]/link[link]/collision[c]/geometry/mesh/uri: {uri!r} must stay in the scene's "
         f"folder and the resource paths (it leads to {tmp_path}/out/b.stl; if that is to be trusted, "
         "make its folder a resource path)"
@@ -1224,9 +1219,7 @@ def test_symbolic_links_out_of_the_folders_are_refused(tmp_path):
     add_model(tmp_path / "out", "rock")
     path = write(tmp_path / "in" / "a.sdf", "<include><uri>model://rock</uri></include>")
     (tmp_path / "in" / "rock").symlink_to(tmp_path / "out" / "rock")
-    with pytest.raises(Error) as caught:
-        read_sdf(path)
-    assert str(caught.value) == (
+    assert error_of(read_sdf, path) == (
         f"{path}: world/include[model://rock]: 'model://rock' must stay in the scene's folder and the "
         f"resource paths (it leads to {tmp_path}/out/rock; if that is to be trusted, make its folder "
         "a resource path)"
@@ -1503,15 +1496,11 @@ def test_a_mesh_scaled_by_zero_is_refused(tmp_path, message):
 def test_files_other_than_sdf(tmp_path, text, expected):
     path = tmp_path / "a.sdf"
     path.write_text(text)
-    with pytest.raises(Error) as caught:
-        read_sdf(path)
-    assert str(caught.value) == f"{path}: {expected}"
+    assert error_of(read_sdf, path) == f"{path}: {expected}"
 
 
 def test_a_missing_scene_file(tmp_path):
-    with pytest.raises(Error) as caught:
-        read_sdf(tmp_path / "no.sdf")
-    assert str(caught.value) == f"{tmp_path / 'no.sdf'}: No such file or directory"
+    assert error_of(read_sdf, tmp_path / "no.sdf") == f"{tmp_path / 'no.sdf'}: No such file or directory"
 
 
 @pytest.mark.parametrize(
