@@ -69,6 +69,11 @@ def model(inside, name="m"):
     return f"<model name='{name}'>{inside}</model>"
 
 
+def model_of(geometry, name="m"):
+    """Return a model of one shape, whose geometry is <box>, <mesh> or another."""
+    return model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")), name)
+
+
 def write(path, inside, world=True):
     path.parent.mkdir(parents=True, exist_ok=True)
     inside = f"<world name='w'>{inside}</world>" if world else inside
@@ -323,30 +328,15 @@ def test_one_warning_names_the_bodies_without_laser_retro(tmp_path):
     ],
 )
 def test_geometry_of_collisions(read, geometry, extents):
-    shape = f"<collision name='c'><geometry>{geometry}</geometry>{RETRO}</collision>"
-    np.testing.assert_array_equal(read(model(link(shape=shape))).bodies[0].mesh.extents, extents)
+    np.testing.assert_array_equal(read(model_of(geometry)).bodies[0].mesh.extents, extents)
 
 
 def test_heightmap_and_scaled_mesh_beside_the_file(tmp_path, read):
     cv2.imwrite(str(tmp_path / "h.png"), np.array([[255, 0], [0, 0]], np.uint8))
     trimesh.creation.box((1, 1, 1)).export(tmp_path / "box.stl")
-    scene = read(
-        model(
-            link(
-                shape="<collision name='c'><geometry><heightmap><uri>h.png</uri><size>4 4 2</size>"
-                f"<pos>1 0 0</pos></heightmap></geometry>{RETRO}</collision>"
-            ),
-            "floor",
-        )
-        + model(
-            link(
-                shape="<collision name='c'><geometry><mesh><uri>file://box.stl</uri>"
-                f"<scale>1 2 -3</scale></mesh></geometry>{RETRO}</collision>"
-            ),
-            "box",
-        )
-    )
-    floor, box = scene.bodies
+    field = "<heightmap><uri>h.png</uri><size>4 4 2</size><pos>1 0 0</pos></heightmap>"
+    mesh = "<mesh><uri>file://box.stl</uri><scale>1 2 -3</scale></mesh>"
+    floor, box = read(model_of(field, "floor") + model_of(mesh, "box")).bodies
     top = floor.mesh.vertices[floor.mesh.vertices[:, 2].argmax()]
     np.testing.assert_array_equal(top, [-1, 2, 2])
     np.testing.assert_array_equal(box.mesh.extents, [1, 2, 3])
@@ -382,11 +372,10 @@ def test_models_of_one_mesh_share_it(tmp_path, read, scale):
 def test_an_elevation_model_keeps_its_heights_and_needs_a_size(tmp_path, read):
     """A world as of gz-sim's tutorial on elevation models: `<size>` z is maximum - minimum, `<pos>` z - maximum."""
     cv2.imwrite(str(tmp_path / "dem.tif"), np.array([[1213.5, 2000], [2000, 2695]], np.float32))
-    field = "<geometry><heightmap><uri>dem.tif</uri>{}<pos>0 0 -2695</pos></heightmap></geometry>"
-    sized = field.format("<size>3793 3563 1481.5</size>")
-    (body,) = read(model(link(shape=shape(RETRO, geometry=sized)))).bodies
+    field = "<heightmap><uri>dem.tif</uri>{}<pos>0 0 -2695</pos></heightmap>"
+    (body,) = read(model_of(field.format("<size>3793 3563 1481.5</size>"))).bodies
     np.testing.assert_array_equal(body.mesh.bounds, [[-1896.5, -1781.5, -1481.5], [1896.5, 1781.5, 0]])
-    _, texts = read_warned(tmp_path, model(link(shape=shape(RETRO, geometry=field.format("")))))
+    _, texts = read_warned(tmp_path, model_of(field.format("")))
     assert texts == [
         "height maps without <size> are 1 m wide and long, which is SDF's default: "
         "world/model[m]/link[link]/collision[c]/geometry/heightmap"
@@ -395,8 +384,8 @@ def test_an_elevation_model_keeps_its_heights_and_needs_a_size(tmp_path, read):
 
 def test_a_glb_named_by_sdf_is_not_turned(tmp_path, read):
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.glb")
-    shape = f"<collision name='c'><geometry><mesh><uri>box.glb</uri></mesh></geometry>{RETRO}</collision>"
-    np.testing.assert_array_equal(read(model(link(shape=shape))).bodies[0].mesh.extents, [1, 2, 3])
+    (body,) = read(model_of("<mesh><uri>box.glb</uri></mesh>")).bodies
+    np.testing.assert_array_equal(body.mesh.extents, [1, 2, 3])
 
 
 STATE = """<state world_name='w'><model name='gone'><pose>9 9 9 0 0 0</pose></model>
@@ -554,8 +543,8 @@ def test_order_of_argument_environment_and_own_folder(tmp_path, monkeypatch, rea
 
 
 def test_relative_uris_are_relative_to_the_file_that_names_them(tmp_path, read):
-    mesh = "<collision name='c'><geometry><mesh><uri>meshes/b.stl</uri></mesh></geometry>"
-    folder = add_model(tmp_path / "models", "rock", model(link(shape=f"{mesh}{RETRO}</collision>"), "rock"))
+    rock = model_of("<mesh><uri>meshes/b.stl</uri></mesh>", "rock")
+    folder = add_model(tmp_path / "models", "rock", rock)
     (folder / "meshes").mkdir()
     trimesh.creation.box((1, 2, 3)).export(folder / "meshes" / "b.stl")
     scene = read("<include><uri>models/rock</uri></include>")
@@ -563,8 +552,7 @@ def test_relative_uris_are_relative_to_the_file_that_names_them(tmp_path, read):
 
 
 def test_a_model_opened_alone_finds_its_own_meshes(tmp_path):
-    mesh = "<collision name='c'><geometry><mesh><uri>model://rock/b.stl</uri></mesh></geometry>"
-    folder = add_model(tmp_path, "rock", model(link(shape=f"{mesh}{RETRO}</collision>"), "rock"))
+    folder = add_model(tmp_path, "rock", model_of("<mesh><uri>model://rock/b.stl</uri></mesh>", "rock"))
     trimesh.creation.box((1, 2, 3)).export(folder / "b.stl")
     assert [b.name for b in read_sdf(folder / "model.sdf").bodies] == ["rock"]
 
@@ -593,8 +581,7 @@ def test_those_of_fuel_are_known_without_files_too(tmp_path):
 def test_files_are_found_whatever_the_scheme(tmp_path, read):
     """Gazebo searches so; some worlds have models:// in place of model://."""
     trimesh.creation.box((5, 1, 1)).export(tmp_path / "b.stl")
-    mesh = "<geometry><mesh><uri>models://b.stl</uri></mesh></geometry>"
-    (body,) = read(model(link(shape=shape(RETRO, geometry=mesh)))).bodies
+    (body,) = read(model_of("<mesh><uri>models://b.stl</uri></mesh>")).bodies
     assert np.ptp(body.surface.vertices[:, 0]) == 5
 
 
@@ -695,7 +682,7 @@ def test_a_model_folder_without_a_model_is_missing(tmp_path, message):
 )
 def test_shapes_have_sdfs_own_defaults(read, geometry, low, high):
     """The values of SDF's specification, http://sdformat.org/spec?elem=geometry."""
-    (body,) = read(model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")))).bodies
+    (body,) = read(model_of(geometry)).bodies
     np.testing.assert_allclose(body.surface.vertices.min(axis=0), low, rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(body.surface.vertices.max(axis=0), high, rtol=0, atol=ROUNDING)
     assert closedness(*body.surface) == 1
@@ -718,7 +705,7 @@ def test_a_submesh_lies_where_it_is_in_its_file_unless_it_is_to_be_centred(tmp_p
     )
     scene.export(tmp_path / "a.glb")
     geometry = f"<mesh><uri>a.glb</uri><submesh><name>far</name>{center}</submesh></mesh>"
-    (body,) = read(model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")))).bodies
+    (body,) = read(model_of(geometry)).bodies
     low, high = (f(body.surface.vertices, axis=0) for f in (np.min, np.max))
     np.testing.assert_allclose([low, high], [[middle - 1, -1, -1], [middle + 1, 1, 1]], atol=ROUNDING)
 
@@ -758,9 +745,8 @@ def test_the_roughness_of_shapes_without_a_lobe_divides_no_link(read, specular, 
 def test_a_polyline_of_fewer_than_three_different_points_is_refused(read, points, count):
     """Points that follow one another in one place count once; the last one is followed by the first."""
     line = "".join(f"<point>{point}</point>" for point in points)
-    polyline = shape(RETRO, geometry=f"<geometry><polyline>{line}</polyline></geometry>")
     with pytest.raises(Error, match=rf"polyline: must have three different points or more \(got {count}\)$"):
-        read(model(link(shape=polyline)))
+        read(model_of(f"<polyline>{line}</polyline>"))
 
 
 def test_polylines_within_others_are_holes(read):
@@ -771,7 +757,7 @@ def test_polylines_within_others_are_holes(read):
         "<point>9 0</point><point>9 1</point><point>8 0</point>",
     )
     lines = "".join(f"<polyline><height>0.5</height>{points}</polyline>" for points in rings)
-    (body,) = read(model(link(shape=shape(RETRO, geometry=f"<geometry>{lines}</geometry>")))).bodies
+    (body,) = read(model_of(lines)).bodies
     assert body.mesh.volume == pytest.approx(0.5 * (16 - 4 + 0.5), rel=ROUNDING)
     assert body.mesh.area == pytest.approx(2 * 12.5 + 0.5 * (16 + 8 + 2 + np.sqrt(2)), rel=ROUNDING)
 
@@ -842,7 +828,7 @@ def test_submeshes_are_found_without_prefix_and_in_any_case(tmp_path, read):
 
     def size(name):
         mesh = f"<mesh><uri>car.glb</uri><submesh><name>{name}</name></submesh></mesh>"
-        (body,) = read(model(link(shape=shape(RETRO, geometry=f"<geometry>{mesh}</geometry>")))).bodies
+        (body,) = read(model_of(mesh)).bodies
         return np.ptp(body.surface.vertices, axis=0).max()
 
     assert [size(name) for name in ("Steering_Wheel", "steering_wheel", "Wheel")] == [1, 1, 3]
@@ -937,9 +923,8 @@ FUEL = "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Big Rock"
 
 
 def add_fuel_model(folder, size):
-    box = f"<geometry><box><size>{size} 1 1</size></box></geometry>"
     folder.mkdir(parents=True)
-    (folder / "model.sdf").write_text(f"<sdf>{model(link(shape=shape(RETRO, geometry=box)), 'rock')}</sdf>")
+    (folder / "model.sdf").write_text(f"<sdf>{model_of(f'<box><size>{size} 1 1</size></box>', 'rock')}</sdf>")
 
 
 @pytest.mark.parametrize(
@@ -1001,8 +986,7 @@ def test_a_file_of_a_model_of_fuel(tmp_path, read):
     kept = tmp_path / "gz" / "fuel.gazebosim.org" / "openrobotics" / "models" / "big rock" / "1"
     kept.mkdir(parents=True)
     trimesh.creation.box((5, 1, 1)).export(kept / "rock.stl")
-    mesh = f"<geometry><mesh><uri>{FUEL}/1/files/rock.stl</uri></mesh></geometry>"
-    (body,) = read(model(link(shape=shape(RETRO, geometry=mesh)))).bodies
+    (body,) = read(model_of(f"<mesh><uri>{FUEL}/1/files/rock.stl</uri></mesh>")).bodies
     assert np.ptp(body.surface.vertices[:, 0]) == 5
 
 
@@ -1012,10 +996,8 @@ def test_a_uri_of_fuel_does_not_lead_out_of_the_model(tmp_path_factory, message,
     kept = cache / "fuel.gazebosim.org" / "openrobotics" / "models" / "big rock" / "1"
     kept.mkdir(parents=True)
     trimesh.creation.box((5, 1, 1)).export(cache / "secret.stl")
-    mesh = f"<geometry><mesh><uri>{FUEL}/1/files/../../../../../secret.stl</uri></mesh></geometry>"
-    assert message(model(link(shape=shape(RETRO, geometry=mesh)))).startswith(
-        "a.sdf: models or files are missing"
-    )
+    mesh = f"<mesh><uri>{FUEL}/1/files/../../../../../secret.stl</uri></mesh>"
+    assert message(model_of(mesh)).startswith("a.sdf: models or files are missing")
 
 
 # ---- water and marks ---------------------------------------------------------------------------------
@@ -1186,8 +1168,7 @@ def test_paths_out_of_the_folders_are_refused(tmp_path, uri):
     (tmp_path / "out").mkdir()
     trimesh.creation.box().export(tmp_path / "out" / "b.stl")
     uri = f"file://{tmp_path}/out/b.stl" if uri == "ABSOLUTE" else uri
-    mesh = f"<collision name='c'><geometry><mesh><uri>{uri}</uri></mesh></geometry>{RETRO}</collision>"
-    path = write(tmp_path / "in" / "a.sdf", model(link(shape=mesh)))
+    path = write(tmp_path / "in" / "a.sdf", model_of(f"<mesh><uri>{uri}</uri></mesh>"))
     assert error_of(read_sdf, path, skip_missing=True) == (
         f"{path}: world/model[m]/link[link]/collision[c]/geometry/mesh/uri: {uri!r} must stay in the scene's "
         f"folder and the resource paths (it leads to {tmp_path}/out/b.stl; if that is to be trusted, "
@@ -1201,8 +1182,7 @@ def test_paths_out_of_the_folders_are_refused(tmp_path, uri):
 )
 def test_what_is_missing_out_of_the_folders_can_be_skipped_too(tmp_path, uri):
     """A world names files of the machine that it was made on."""
-    mesh = f"<collision name='c'><geometry><mesh><uri>{uri}</uri></mesh></geometry>{RETRO}</collision>"
-    path = write(tmp_path / "in" / "a.sdf", model(link(shape=mesh)))
+    path = write(tmp_path / "in" / "a.sdf", model_of(f"<mesh><uri>{uri}</uri></mesh>"))
     with pytest.raises(Error) as caught:
         read_sdf(path)
     where = "/home/nobody/b.stl" if "nobody" in uri else f"{tmp_path}/in/../b.stl"
@@ -1255,7 +1235,6 @@ MERGED = (
     "<joint name='wrist'><child>hand</child></joint>"
     f"<model name='tool'><pose relative_to='hand'>0 0 1 0 0 0</pose><link name='link'>{SHAPE}</link></model>"
 )
-MESH = "<geometry><mesh><uri>a.stl</uri></mesh></geometry>"
 MERGE = "<include merge='true'><uri>model://arms</uri>{}</include>"
 
 
@@ -1296,7 +1275,7 @@ def test_a_model_that_is_merged_twice_is_refused(tmp_path, read):
 
 def test_what_a_merged_include_names_lies_beside_it(tmp_path, read):
     """Files are found in the folder of the included model; a single link makes the body of the outer one."""
-    add_model(tmp_path / "far", "arms", model(link(shape=shape(RETRO, geometry=MESH)), "arms"))
+    add_model(tmp_path / "far", "arms", model_of("<mesh><uri>a.stl</uri></mesh>", "arms"))
     trimesh.creation.box((2, 2, 2)).export(tmp_path / "far" / "arms" / "a.stl")
     uri = "<uri>far/arms</uri>"
     merge = f"<include merge='1'>{uri}<pose>0 0 5 0 0 0</pose></include>"
@@ -1676,8 +1655,7 @@ def test_xml_that_only_gazebo_accepts_is_read_with_one_warning(tmp_path, xml, wh
 
 def test_a_bare_and_stays_in_names(tmp_path):
     trimesh.creation.box((5, 1, 1)).export(tmp_path / "a&b.stl")
-    mesh = "<geometry><mesh><uri>a&b.stl</uri></mesh></geometry>"
-    path = write(tmp_path / "a.sdf", model(link(shape=shape(RETRO, geometry=mesh)), name="A & B &amp; C"))
+    path = write(tmp_path / "a.sdf", model_of("<mesh><uri>a&b.stl</uri></mesh>", "A & B &amp; C"))
     with pytest.warns(UserWarning, match="line 2: a bare '&'"):
         (body,) = read_sdf(path).bodies
     assert body.name == "A & B & C" and np.ptp(body.surface.vertices[:, 0]) == 5
@@ -1712,9 +1690,7 @@ def test_names_of_files_may_be_escaped_as_in_uris(tmp_path, read, message, schem
     prefix = scheme if scheme.startswith("package") else f"{scheme}parts/"
 
     def mesh(name):
-        return model(
-            link(shape=shape(RETRO, geometry=f"<geometry><mesh><uri>{prefix}{name}</uri></mesh></geometry>"))
-        )
+        return model_of(f"<mesh><uri>{prefix}{name}</uri></mesh>")
 
     for name in ("my hülle/50% box.STL", "my%20h%C3%BClle/50%25%20box.STL"):
         np.testing.assert_array_equal(read(mesh(name)).bodies[0].mesh.extents, (2, 4, 6))
@@ -1743,9 +1719,7 @@ def test_names_of_files_may_be_escaped_as_in_uris(tmp_path, read, message, schem
 )
 def test_an_unknown_tag_of_numbers_in_a_shape_is_told_of(tmp_path, geometry, tag, hint):
     """SDF's default takes the place of the size that it was meant for, a body of another size."""
-    _, texts = read_warned(
-        tmp_path, model(link(shape=shape(RETRO, geometry=f"<geometry>{geometry}</geometry>")))
-    )
+    _, texts = read_warned(tmp_path, model_of(geometry))
     assert texts == [
         "tags that SDF does not know there are left out: world/model[m]/link[link]/collision[c]/"
         f"geometry/{tag} ({hint})"
@@ -1753,8 +1727,7 @@ def test_an_unknown_tag_of_numbers_in_a_shape_is_told_of(tmp_path, geometry, tag
 
 
 def test_other_tags_of_shapes_give_no_warning(read):
-    geometry = "<geometry><box><size>1 2 3</size><sizes>x</sizes><texture/></box></geometry>"
-    assert len(read(model(link(shape=shape(RETRO, geometry=geometry)))).bodies) == 1
+    assert len(read(model_of("<box><size>1 2 3</size><sizes>x</sizes><texture/></box>")).bodies) == 1
 
 
 A_POSE, ANOTHER_POSE = "<pose>5 0 0 0 0 0</pose>", "<pose>0 7 0 0 0 0</pose>"
