@@ -109,21 +109,16 @@ def test_files(mutation: Mutation) -> list[str]:
     return list(dict.fromkeys(out))
 
 
-def edits_of(mutation: Mutation, root: Path) -> list[tuple[Path, int, int, str]]:
-    """Return where a mutation applies, and its new text; there should be one such place."""
-    return [(*place, mutation.new) for place in places_of(mutation.old, root)]
-
-
-def mutated(path: Path, first: int, past: int, new: str) -> str:
-    """Return the text of a file with the mistake."""
+def mutated(mutation: Mutation, path: Path, first: int, past: int) -> str:
+    """Return the text of a file with the mistake, at a place of the old text."""
     text = path.read_text(encoding="utf-8")
-    return text[:first] + new + text[past:]
+    return text[:first] + mutation.new + text[past:]
 
 
 def apply(mutation: Mutation, root: Path):
     """Put the mistake into a tree."""
-    ((path, *edit),) = edits_of(mutation, root)
-    path.write_text(mutated(path, *edit), encoding="utf-8")
+    ((path, first, past),) = places_of(mutation.old, root)
+    path.write_text(mutated(mutation, path, first, past), encoding="utf-8")
 
 
 def run_pytest(root: Path, words: list[str]) -> tuple[int | None, str]:
@@ -176,15 +171,15 @@ def print_list(mutations) -> bool:
     good = True
     for mutation in mutations:
         test_files(mutation)
-        edits = edits_of(mutation, ROOT)
-        for edit in edits:
+        places = places_of(mutation.old, ROOT)
+        for place in places:
             try:
-                ast.parse(mutated(*edit))
+                ast.parse(mutated(mutation, *place))
             except SyntaxError as why:
                 raise SystemExit(f"{mutation.name}: {why}") from None
-        good &= len(edits) == 1
-        where = ", ".join(path.relative_to(ROOT).as_posix() for path, *_ in edits)
-        print(f"{mutation.name:42} {where if len(edits) == 1 else f'{len(edits)} places: {where}'}")
+        good &= len(places) == 1
+        where = ", ".join(path.relative_to(ROOT).as_posix() for path, *_ in places)
+        print(f"{mutation.name:42} {where if len(places) == 1 else f'{len(places)} places: {where}'}")
     return good
 
 
