@@ -420,10 +420,6 @@ class Acoustics:
     def receive_pattern(self, sonar: Sonar) -> Callable | None:
         """Return the receive beam pattern in azimuth; None for a box.
 
-        Parameters
-        ----------
-        sonar : Sonar
-
         Returns
         -------
         function (azimuth_rad, steer_azimuth_rad) -> linear one-way power, 1 on the beam's axis
@@ -547,10 +543,6 @@ class Acoustics:
     def transmit_pattern(self, sonar: Sonar) -> Callable | None:
         """Return the transmit beam pattern in azimuth; None if the fan is insonified evenly.
 
-        Parameters
-        ----------
-        sonar : Sonar
-
         Returns
         -------
         function (azimuth_rad) -> linear one-way power, 1 on the boresight
@@ -570,10 +562,6 @@ class Acoustics:
         """Return the two-way beam pattern in elevation; None for a box.
 
         Transmitter and receiver have the same pattern, upright and not steered.
-
-        Parameters
-        ----------
-        sonar : Sonar
 
         Returns
         -------

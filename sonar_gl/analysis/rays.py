@@ -141,7 +141,7 @@ class RayScene:
         if Embree is missing.
     """
 
-    def __init__(self, scene, pose, specular: bool = False):
+    def __init__(self, scene, pose, specular: bool):
         EmbreeScene, TriangleMesh = embree_classes()
         self._embree = EmbreeScene(robust=True)  # no ray passes between two adjacent triangles
         self._meshes = []  # Embree holds no reference to them

@@ -307,7 +307,7 @@ class _Case:
     tolerance: float
 
 
-def _make_case(scene, sonar, tolerance, poses, acoustics=None, noise=None) -> _Case:
+def _make_case(scene, sonar, tolerance, poses, acoustics, noise=None) -> _Case:
     """Check the arguments of `price` and `needed_acoustics`; return the case that they describe."""
     check_tolerance(tolerance)
     check_kind("scene", scene, Scene | Simulator, "sonar_gl.load_scene makes one from a name or a file")

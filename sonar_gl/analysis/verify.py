@@ -171,7 +171,7 @@ class _Panel(NamedTuple):
     scale: str
 
 
-def error_picture(verification: Verification, height: int = 800) -> np.ndarray:
+def error_picture(verification: Verification, height: int) -> np.ndarray:
     """Draw the ping, the reference and their difference side by side, to show where in the fan the error lies.
 
     Parameters

@@ -46,7 +46,7 @@ def plan(scene_name: str, options) -> dict:
 
 
 def compare_plans(
-    scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, tolerance: float, noise: Noise | None = None
+    scene: Scene, sonar: Sonar, acoustics: Acoustics, poses, tolerance: float, noise: Noise | None
 ) -> dict:
     """Plan for a tolerance, for half and for twice of it; time their pings and price the terms."""
     check_tolerance(tolerance)

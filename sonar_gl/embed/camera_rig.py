@@ -58,7 +58,7 @@ class CameraRig:
         sampling: Sampling | None,
         make_stage: Callable[[Sampling], Stage],
         thread: SecondThread,
-        are_cones: bool = False,
+        are_cones: bool,
     ):
         if sonar.tilt_deg:
             cameras = [camera.seen_from_head(sonar) for camera in cameras]

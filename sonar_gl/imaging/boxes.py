@@ -101,9 +101,7 @@ def body_map(ping: Ping, height: int = 800, quiet: Ping | None = None) -> np.nda
     return body_map_and_bins(ping, height, quiet)[0]
 
 
-def body_map_and_bins(
-    ping: Ping, height: int = 800, quiet: Ping | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def body_map_and_bins(ping: Ping, height: int, quiet: Ping | None) -> tuple[np.ndarray, np.ndarray]:
     """Return `body_map`, and the number of the body whose box encloses each bin, (B, K) uint16, 0 for none."""
     geometry = _labelled_geometry(ping, height)
     out = np.zeros(ping.body_id.size + 1, np.uint16)  # cell −1, outside the fan, is the last one

@@ -160,7 +160,7 @@ def mujoco_sonar_pose(data, name: str | None = None) -> np.ndarray:
     return _sonar_pose(data, carrier)
 
 
-def read_mjcf(path: Path, resource_paths=()) -> Scene:
+def read_mjcf(path: Path, resource_paths) -> Scene:
     """Read a scene from a MuJoCo model in a file.
 
     Parameters

@@ -15,6 +15,7 @@ from sonar_gl.acoustics.water import (
     sound_speed_teos10,
 )
 from sonar_gl.core.extras import install_command
+from tests.support.errors import error_of
 
 WATERS = {  # temperature, salinity, depth, pH: (Francois-Garrison, Ainslie-McColm) dB/m at 450, 900, 1200 kHz
     (10, 0.001, 0, 7): ((0.062939, 0.251750, 0.447554), (0.068514, 0.274052, 0.487203)),
@@ -143,9 +144,7 @@ def test_acoustics_uses_the_chosen_formulas():
 
 def test_teos10_without_gsw_is_an_error(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsw", None)  # as if it were not installed
-    with pytest.raises(sg.Error) as caught:
-        sg.Water(sound_speed_formula="teos10").sound_speed()
-    assert str(caught.value) == (
+    assert error_of(sg.Water(sound_speed_formula="teos10").sound_speed) == (
         'sound_speed_formula "teos10" needs gsw, "mackenzie" does not (got no module gsw); to add it: '
         + install_command("teos10")
     )
@@ -187,9 +186,7 @@ NEGATIVE_ABSORPTION = (
 )
 def test_fields_are_checked(settings, message):
     for make in (lambda: sg.Water(**settings), lambda: sg.Water(ph=7.9).changed(settings)):
-        with pytest.raises(sg.Error) as caught:
-            make()
-        assert str(caught.value) == f"water: {message}"
+        assert error_of(make) == f"water: {message}"
 
 
 @pytest.mark.parametrize(

@@ -58,10 +58,10 @@ def samples(it, sample_deg, rows=102):
 FINE = (0.08, 102)
 
 
-def beam_errors(measured, exact, at_least=1e-3):
+def beam_errors(measured, exact):
     """Return the L1 error of each beam over its own echo, for beams with a fair share of the strongest echo."""
     total = exact.sum(axis=1)
-    strong = total > at_least * total.max()
+    strong = total > 1e-3 * total.max()
     return np.abs(measured - exact).sum(axis=1)[strong] / total[strong]
 
 

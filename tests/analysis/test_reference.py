@@ -14,6 +14,7 @@ from sonar_gl.acoustics.acoustics import SWITCHES
 from sonar_gl.acoustics.boundary import cos_incidence
 from sonar_gl.core.extras import install_command
 from tests.support.closed_forms import box_beams, cylinder_echo, plane_echo, plate_on_floor_echo, sphere_echo
+from tests.support.errors import error_of
 
 pytestmark = pytest.mark.usefixtures("few_first_rays")
 
@@ -407,16 +408,12 @@ def test_the_reference_models_or_refuses_each_switch():
 )
 def test_bad_input(change, message):
     arguments = {"scene": SCENE, "sonar": sonar(), "pose": np.eye(4), "acoustics": IDEAL} | change
-    with pytest.raises(sg.Error) as caught:
-        sg.reference_ping(**arguments)
-    assert str(caught.value) == message
+    assert error_of(sg.reference_ping, **arguments) == message
 
 
 def test_without_embree(monkeypatch):
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
-    with pytest.raises(sg.Error) as caught:
-        sg.reference_ping(SCENE, sonar(), np.eye(4))
-    assert str(caught.value) == (
+    assert error_of(sg.reference_ping, SCENE, sonar(), np.eye(4)) == (
         f"the reference needs Embree (got no module embreex); to add it: {install_command('reference')}"
     )
 

@@ -33,8 +33,8 @@ def still(places, radius_m=5e-3, name="still"):
     return Still(name, radius_m=radius_m, places=np.atleast_2d(np.asarray(places, float)))
 
 
-def wall(x, reflectivity=1.0, name="wall", size=20.0):
-    return sg.Body(name, trimesh.creation.box((0.1, size, size)), sg.pose(x=x + 0.05), reflectivity)
+def wall(x, size=20.0):
+    return sg.Body("wall", trimesh.creation.box((0.1, size, size)), sg.pose(x=x + 0.05), 1.0)
 
 
 def ping(*things, acoustics=IDEAL, sonar=SONAR, surface_z_m=None, pose=HERE, **settings):

@@ -36,11 +36,11 @@ class Plane:
         return (other.q - self.q) / (self.along_v - other.along_v)
 
 
-def borders(samples, width=STEP, u=0.0):
+def borders(samples, u=0.0):
     """Return v where the footprints of rows 1, 2, ... begin; `samples` are (ROWS, 4)."""
     lattice = Lattice(np.array([0.0, STEP, 0.0]), np.array([V[0], 0.0, STEP]), -0.2, 0.2, 1, 0.0, 1.0)
     top = np.array([0.2 * math.hypot(1.0, u)])
-    strips = StripTable(np.array([0]), np.array([u]), np.array([width]), -top, top, False)
+    strips = StripTable(np.array([0]), np.array([u]), np.array([STEP]), -top, top, False)
     work = make_work()
     work[:, : 2 * ROWS] = np.nan
     image = np.asarray(samples, np.float32).reshape(ROWS, 1, 4)

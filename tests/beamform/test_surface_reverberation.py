@@ -39,9 +39,9 @@ def surface_of(acoustics, pose, bodies=(), sonar=SONAR, **settings):
     return pings[0] - pings[1]
 
 
-def mean_in_bins(f, edges_m, parts=64):
+def mean_in_bins(f, edges_m):
     """Return the means of f(range) over bins."""
-    r = edges_m[:-1, None] + np.diff(edges_m)[:, None] * (np.arange(parts) + 0.5) / parts
+    r = edges_m[:-1, None] + np.diff(edges_m)[:, None] * (np.arange(64) + 0.5) / 64
     return f(r).mean(axis=1)
 
 

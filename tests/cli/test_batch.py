@@ -18,6 +18,22 @@ ROOT = Path(__file__).resolve().parents[2]
 POSES = '[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n'
 
 
+def write_job(bodies, rows="0,0,0,0,0,0,0\n", scene="", sonar="", more=""):
+    """Write a job of a trajectory in a tank with these bodies; scene, sonar and more are keys and tables of it."""
+    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{bodies}</world></sdf>')
+    Path("small.toml").write_text(SONAR)
+    Path("dive.csv").write_text(f"t,x,y,z,roll,pitch,yaw\n{rows}")
+    job = f'scenes = ["tank.sdf"]\n{scene}[[sonars]]\nsonar = "small.toml"\n{sonar}'
+    Path("job.toml").write_text(job + POSES + more)
+
+
+def dry_run():
+    """(stdout, stderr) of a dry run of the job."""
+    status, out, err = run("batch", "job.toml", "--dry-run", "--workers", "1")
+    assert status == 0
+    return out, err
+
+
 def test_a_bar_without_a_terminal_writes_lines():
     stream = io.StringIO()
     with tqdm(total=4, mininterval=0, miniters=1, ascii=True, ncols=60, file=Lines(stream)) as bar:
@@ -45,11 +61,7 @@ def test_a_file_in_the_place_of_the_folder_of_a_batch_is_called_so(tmp_path, mon
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("mine")
     os.mkfifo("pipe")
-    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}{BOX}{SENSOR}</world></sdf>')
-    Path("small.toml").write_text(SONAR)
-    Path("dive.csv").write_text("t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n")
-    job = 'scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\n[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n'
-    Path("job.toml").write_text(job)
+    write_job(WALL + BOX + SENSOR)
     status, out, err = run("batch", *words)
     got = {"file": "a file", "pipe": "a named pipe"}[where]
     assert (status, out) == (2, "")
@@ -100,43 +112,30 @@ def test_several_sonars_are_refused_without_assertions_at_once(tmp_path):
     assert not (tmp_path / "made").exists()
 
 
-POSE_ROWS = "t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,0,0,50,0,0,0\n2,0,0,0,0,0,3\n"
+POSE_ROWS = "0,0,0,0,0,0,0\n1,0,0,50,0,0,0\n2,0,0,0,0,0,3\n"
 
 
 @pytest.mark.slow
 def test_a_dry_run_tells_of_pings_without_an_echo(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}</world></sdf>')
-    Path("small.toml").write_text(SONAR)
-    Path("dive.csv").write_text(POSE_ROWS)
-    job = 'scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\nmount = [0, 0, 0.5, 0, 0, 0]\n'
-    Path("job.toml").write_text(job + POSES)
-    status, out, _ = run("batch", "job.toml", "--dry-run", "--workers", "1")
-    assert status == 0
-    (line,) = [line for line in out.splitlines() if "no echo" in line]
+    write_job(WALL, POSE_ROWS, sonar="mount = [0, 0, 0.5, 0, 0, 0]\n")
+    (line,) = [line for line in dry_run()[0].splitlines() if "no echo" in line]
     assert line == (
         "  2 of these 3 pings have no echo, such as ping 1, sonar at '0 0 50.5 0 0 0' "
         "('sonar-gl render --pose' says why)"
     )
-    Path("dive.csv").write_text("\n".join(POSE_ROWS.splitlines()[:2]))
-    assert "no echo" not in run("batch", "job.toml", "--dry-run", "--workers", "1")[1]
+    write_job(WALL)
+    assert "no echo" not in dry_run()[0]
 
 
 @pytest.mark.slow
 def test_a_dry_run_tells_of_a_sonar_in_a_body(tmp_path, monkeypatch):
     """The mount lifts the second ping out of the box, which the job has moved away from the third."""
     monkeypatch.chdir(tmp_path)
-    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}{BOX}</world></sdf>')
-    Path("small.toml").write_text(SONAR)
-    Path("dive.csv").write_text(
-        "t,x,y,z,roll,pitch,yaw\n0,-2,0.5,-0.2,0,0,0\n1,-2,0.5,0,0,0,0\n2,3,0.5,-0.2,0,0,0\n"
-    )
-    job = 'scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\nmount = [0, 0, 0.2, 0, 0, 0]\n'
+    rows = "0,-2,0.5,-0.2,0,0,0\n1,-2,0.5,0,0,0,0\n2,3,0.5,-0.2,0,0,0\n"
     moved = '[[vary.bodies]]\nnames = ["box"]\nx_m = -5\n'
-    Path("job.toml").write_text(job + POSES + moved)
-    status, out, _ = run("batch", "job.toml", "--dry-run", "--workers", "1")
-    assert status == 0
-    (line,) = [line for line in out.splitlines() if "in a body" in line]
+    write_job(WALL + BOX, rows, sonar="mount = [0, 0, 0.2, 0, 0, 0]\n", more=moved)
+    (line,) = [line for line in dry_run()[0].splitlines() if "in a body" in line]
     assert line == (
         "  1 of these 3 pings has the sonar in a body or below a floor, such as ping 0, sonar at "
         "'-2 0.5 0 0 0 0', in or below 'box'"
@@ -147,14 +146,8 @@ def test_a_dry_run_tells_of_a_sonar_in_a_body(tmp_path, monkeypatch):
 def test_a_dry_run_says_once_and_of_which_sonar_what_a_survey_warns_of(tmp_path, monkeypatch):
     """The survey's process showed the text once more, without the sonar and the scene."""
     monkeypatch.chdir(tmp_path)
-    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{WALL}</world></sdf>')
-    Path("small.toml").write_text(SONAR)
-    Path("dive.csv").write_text(POSE_ROWS)
-    job = 'scenes = ["tank.sdf"]\nsurface_z_m = -1\n[[sonars]]\nname = "head"\nsonar = "small.toml"\n'
-    Path("job.toml").write_text(job + POSES)
-    status, _, err = run("batch", "job.toml", "--dry-run", "--workers", "1")
-    assert status == 0
-    (line,) = [line for line in err.splitlines() if "above the water's surface" in line]
+    write_job(WALL, POSE_ROWS, scene="surface_z_m = -1\n", sonar='name = "head"\n')
+    (line,) = [line for line in dry_run()[1].splitlines() if "above the water's surface" in line]
     assert line.startswith("warning: head in tank.sdf: the sonar is above the water's surface in some pings")
 
 
@@ -163,13 +156,8 @@ def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monk
     monkeypatch.chdir(tmp_path)
     wall = WALL.replace("1 20 20", "1000 200 500")
     assert wall != WALL
-    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{wall}</world></sdf>')
-    Path("small.toml").write_text(SONAR)
-    Path("dive.csv").write_text(POSE_ROWS)
-    Path("job.toml").write_text('scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\n' + POSES)
-    status, _, err = run("batch", "job.toml", "--dry-run", "--workers", "1")
-    assert status == 0
-    (line,) = [line for line in err.splitlines() if "millimetres" in line]
+    write_job(wall, POSE_ROWS)
+    (line,) = [line for line in dry_run()[1].splitlines() if "millimetres" in line]
     assert line.startswith(
         "warning: tank.sdf: the scene measures 1000 x 200 x 500 m: if it was made in centimetres or millimetres"
     )
@@ -179,44 +167,31 @@ def test_a_dry_run_tells_of_a_scene_in_millimetres_as_doctor_does(tmp_path, monk
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "batch must be given either a job file, or --check and a folder (got neither)"),
-        (
-            ("job.toml", "--check", "."),
-            "batch must be given either a job file, or --check and a folder (got both)",
+        ("", "batch must be given either a job file, or --check and a folder (got neither)"),
+        ("job.toml --check .", "batch must be given either a job file, or --check and a folder (got both)"),
+        *(
+            (
+                f"--check . {more}",
+                f"--check and {more.split()[0]} exclude each other (a check makes no pings; leave one out)",
+            )
+            for more in (
+                "--resume",
+                "--dry-run",
+                "--out made",
+                "--workers 2",
+                "--device 0",
+                "--cluster tcp://a:1",
+            )
         ),
         (
-            ("--check", ".", "--resume"),
-            "--check and --resume exclude each other (a check makes no pings; leave one out)",
-        ),
-        (
-            ("--check", ".", "--dry-run"),
-            "--check and --dry-run exclude each other (a check makes no pings; leave one out)",
-        ),
-        (
-            ("--check", ".", "--out", "made"),
-            "--check and --out exclude each other (a check makes no pings; leave one out)",
-        ),
-        (
-            ("--check", ".", "--workers", "2"),
-            "--check and --workers exclude each other (a check makes no pings; leave one out)",
-        ),
-        (
-            ("--check", ".", "--device", "0"),
-            "--check and --device exclude each other (a check makes no pings; leave one out)",
-        ),
-        (
-            ("--check", ".", "--cluster", "tcp://localhost:8786"),
-            "--check and --cluster exclude each other (a check makes no pings; leave one out)",
-        ),
-        (
-            ("job.toml", "--dry-run", "--resume"),
+            "job.toml --dry-run --resume",
             "--dry-run and --resume exclude each other (a dry run counts the whole job; leave one out)",
         ),
     ],
 )
 def test_options_that_would_have_no_effect_are_refused(tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
-    assert run("batch", *words) == (2, "", f"error: {message}\n")
+    assert run("batch", *words.split()) == (2, "", f"error: {message}\n")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -227,11 +202,7 @@ def test_processes_leave_warnings_of_scenes_to_the_command_which_shows_them_once
 ):
     monkeypatch.chdir(tmp_path)
     wall = re.sub("<laser_retro>.*?</laser_retro>", "", WALL)
-    Path("tank.sdf").write_text(f'<sdf version="1.9"><world name="any">{wall}{SENSOR}</world></sdf>')
-    Path("small.toml").write_text(SONAR)
-    Path("dive.csv").write_text("t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,0,0,0,0,0,0\n")
-    job = 'scenes = ["tank.sdf"]\n[[sonars]]\nsonar = "small.toml"\n[[poses]]\nkind = "trajectory"\nfile = "dive.csv"\n'
-    Path("job.toml").write_text(job)
+    write_job(wall + SENSOR, "0,0,0,0,0,0,0\n1,0,0,0,0,0,0\n")
     status, _, err = run("batch", "job.toml", *words, "--workers", "2")
     assert status == 0
     shown = [line for line in (err + capfd.readouterr().err).splitlines() if "laser_retro" in line]

@@ -452,26 +452,14 @@ def test_resource_path_and_skip_missing():
 
 
 def test_empty_ping_warns_on_one_line():
-    arguments = (
-        "--sonar",
-        "small.toml",
-        "--tolerance",
-        0.05,
-        "--height",
-        40,
-        "--pose",
-        "0 0 0 0 0 3.14159265",
-        "--noise",
-        "none",
-    )
-    status, out, err = run("render", "tank.sdf", *arguments)
+    quick = "render tank.sdf --sonar small.toml --tolerance 0.05 --height 40 --noise none --pose"
+    status, out, err = run(*quick.split(), "0 0 0 0 0 3.14159265")
     assert status == 0 and "80 bins, no echo; " in out
     assert re.fullmatch(
         r"warning: no echo came back: no surface lies in the fan; the nearest is 'box', .*\n", err
     )
     assert not ping().intensity.any()
-    picture = cv2.imread("tank.png")
-    assert picture.shape[0] == 40
+    assert cv2.imread("tank.png").shape[0] == 40
 
 
 def test_a_warning_is_told_once():
@@ -571,7 +559,7 @@ def test_materials_lists_every_material_with_its_reflection_echo_and_source():
     assert max(map(len, out.splitlines())) <= 100
 
 
-HEAVY = [
+HEAVY = (
     "numpy",
     "scipy",
     "numba",
@@ -583,7 +571,7 @@ HEAVY = [
     "PIL",
     "pydantic",
     "tqdm",
-]
+)
 
 
 def examples():
@@ -698,16 +686,6 @@ ensure_blas()
 # --- mistakes
 
 
-def test_unknown_scene_and_sonar_name_the_nearest():
-    endings = "a file must end in one of .sdf .world .urdf .xacro .xml .mjcf .glb .gltf .obj .stl .ply .dae"
-    assert refused(scene="pylom") == f"there is no bundled scene 'pylom' (did you mean 'pylon'?; {endings})"
-    known = ", ".join(sorted(sg.bundled_scenes()))
-    assert refused(scene="xxx") == f"there is no bundled scene 'xxx' (known are {known}; {endings})"
-    assert refused(sonar="p900-46") == (
-        "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'm900-45'?)"
-    )
-
-
 def test_a_number_of_threads_without_which_numba_is_not_loaded():
     """Early versions ended in Numba's traceback, which does not name the variable."""
     for text in ("0", "-2"):
@@ -719,31 +697,9 @@ def test_a_number_of_threads_without_which_numba_is_not_loaded():
 def test_scene_files_that_cannot_be_read():
     Path("broken.sdf").write_text("<sdf><world>\n<model></sdf>")
     assert refused(scene="broken.sdf") == "broken.sdf: line 2, column 10: broken XML (mismatched tag)"
-    Path("folder.sdf").mkdir()
-    Path("folder").mkdir()
-    none = "there is no such file (bundled scenes are named without an ending)"
-    assert refused(scene="none.sdf") == f"none.sdf: {none}"
-    assert (
-        refused(scene="folder.sdf")
-        == "folder.sdf: must be a file, or the folder of a model (it has no model.sdf)"
-    )
-    assert refused(scene="folder").startswith("folder: a folder must be that of a model (it has neither ")
     Path("latin.sdf").write_bytes("<sdf><world><model name='é'/></world></sdf>".encode("latin-1"))
     message = refused(scene="latin.sdf")
     assert message == "latin.sdf: line 1, column 26: broken XML (not well-formed (invalid token))"
-    Path("empty.stl").write_bytes(b"")
-    assert refused(scene="empty.stl").startswith("empty.stl: ")
-    Path("holds.sdf").write_text(
-        '<sdf><model name="m"><link name="l"><collision name="c"><geometry><mesh><uri>no.stl</uri></mesh>'
-        "</geometry></collision></link></model></sdf>"
-    )
-    assert refused(scene="holds.sdf").startswith("holds.sdf: models or files are missing:\n  no.stl\n")
-
-
-def test_resource_path_that_is_none():
-    assert refused("--resource-path", "nowhere") == (
-        "resource path 'nowhere' must be a folder (there is none of that name)"
-    )
 
 
 def test_a_pose_beyond_all_seas_is_refused():
@@ -830,30 +786,7 @@ def test_a_pose_without_quotes(command, words):
     assert run(*command, "pylon", "--pose", *words) == (2, "", message)
 
 
-def test_sonar_files_that_make_no_sense():
-    for change, message in (
-        (
-            ("range_max_m = 8.5", "range_max_m = 0.2"),
-            "bad.toml [bad]: sonar 'bad': range_min_m must be less than range_max_m (got 0.5 and 0.2)",
-        ),
-        (
-            ("n_beams = 24", "n_beams = 0"),
-            "bad.toml [bad]: sonar 'bad': n_beams must be a whole number in 1..65536 (got 0)",
-        ),
-        (
-            ("n_beams", "n_beam"),
-            "bad.toml [bad]: unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins_max'?)",
-        ),
-    ):
-        Path("bad.toml").write_text(SONAR.replace(*change))
-        assert refused(sonar="bad.toml") == message
-    Path("bad.toml").write_bytes(b"name = '\xff'")
-    assert refused(sonar="bad.toml") == (
-        "bad.toml: the sonar's file must be TOML in UTF-8 (got byte 0xff in line 1; save it as UTF-8)"
-    )
-    assert refused(sonar="none.toml") == (
-        f"none.toml: the sonar's file must exist (got none there; paths start at {Path.cwd()})"
-    )
+def test_ranges_and_bins_that_no_sonar_has():
     assert refused("--bins", 0) == "sonar 'small': n_bins must be a whole number in 1..65536 (got 0)"
     far = refused("--range", 8000)
     assert far.startswith(
@@ -865,23 +798,10 @@ def test_sonar_files_that_make_no_sense():
         ]
         == 0
     )
-    for text, got in (("0.5", "0.5"), ("nan", "nan"), ("-3", "-3")):
+    for text in ("0.5", "nan", "-3"):
         assert refused("--range", text) == (
-            f"sonar 'small': the range must exceed range_min_m = 0.5 m (got {got})"
+            f"sonar 'small': the range must exceed range_min_m = 0.5 m (got {text})"
         )
-
-
-def test_output_folders_that_cannot_be():
-    assert (
-        refused("--out", "small.toml")
-        == "cannot write into the folder 'small.toml': 'small.toml' is not a folder"
-    )
-    assert refused("--out", "small.toml/deep") == (
-        "cannot write into the folder 'small.toml/deep': 'small.toml' is not a folder"
-    )
-    assert refused("--out", "/proc/deep") == (
-        "cannot write into the folder '/proc/deep': no such file or directory"
-    )
 
 
 @pytest.mark.parametrize("command", ["render", "verify", "view"])
@@ -943,18 +863,14 @@ def test_unknown_names_of_options():
 
 
 def test_numbers_out_of_range():
-    for value, got in ((0, "0.0"), (0.9, "0.9"), ("nan", "nan"), (-1, "-1.0")):
-        assert refused("--tolerance", value) == (
-            f"tolerance must be a number in 0.001..0.5 (got {got}; 0.01 is one per cent)"
-        )
+    assert refused("--tolerance", 0.9) == (
+        "tolerance must be a number in 0.001..0.5 (got 0.9; 0.01 is one per cent)"
+    )
     assert (
         refused("--height", 0)
         == "height of a fan image must be a whole number in 1..16000 (got 0; give pixels)"
     )
     assert refused("--seed", -1) == "seed must be a whole number, 0 or more (got -1)"
-    assert refused("--counts", "low_db=0,high_db=-60") == (
-        "--counts 'low_db=0,high_db=-60': counts: low_db must be less than high_db (got 0 and -60)"
-    )
     assert refused("--counts", "exponent=0.3") == (
         "--counts 'exponent=0.3': counts: exponent needs the law 'power' (got the law 'db')"
     )
@@ -1017,89 +933,6 @@ def test_the_variable_of_a_device_does_no_harm_beside_the_engine_cpu(monkeypatch
     monkeypatch.setenv("SONAR_GL_DEVICE", "1")
     render("--engine", "cpu", "--format", "npz")
     assert ping().meta["engine"] == "cpu"
-
-
-HEADER = "t,x,y,z,roll,pitch,yaw"
-OR_QUATERNIONS = ", or qx,qy,qz,qw in place of the angles"
-
-
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ("", f"p.csv: must hold at least one pose, under the header {HEADER} (got none)"),
-        (HEADER, f"p.csv: must hold at least one pose, under the header {HEADER} (got none)"),
-        (
-            "t,x,y,z,roll,pitch\n0,0,0,0,0,0\n",
-            f"p.csv: line 1: column yaw is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
-            "(got 't,x,y,z,roll,pitch')",
-        ),
-        (
-            "t,x,x,y,z,roll,pitch,yaw\n",
-            f"p.csv: line 1: column x is more than once; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
-            "(got 't,x,x,y,z,roll,pitch,yaw')",
-        ),
-        *(
-            (
-                HEADER.replace(",", mark) + "\n" + mark.join("0000000") + "\n",
-                f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
-                f"(got {HEADER.replace(',', mark)!r}; separate columns by commas)",
-            )
-            for mark in (";", "\t", " ", "; ")
-        ),
-        (
-            "0,0,0,0,0,0,0\n",
-            f"p.csv: line 1: column t is not there; the first line must name the columns {HEADER}{OR_QUATERNIONS} "
-            "(got '0,0,0,0,0,0,0')",
-        ),
-        (
-            f"{HEADER}\n0,0,0,0,0,0,0\n\n1,2,3\n",
-            "p.csv: line 4: must have 7 cells, as the header has (got 3)",
-        ),
-        (f"{HEADER}\n0,0,0,0,0,0,nan\n", "p.csv: line 2, column yaw: must be a finite number (got 'nan')"),
-        (f"{HEADER}\n0,0, deep,0,0,0,0\n", "p.csv: line 2, column y: must be a finite number (got 'deep')"),
-        (f"{HEADER}\n,0,0,0,0,0,0\n", "p.csv: line 2, column t: must be a finite number (got '')"),
-        (
-            f"{HEADER}\n0,0,0,0,0,0,90\n",
-            "p.csv: line 2: pose angles must be radians, within ±2π or unwrapped, in steps of less than π from line "
-            "to line (got roll pitch yaw = 0 0 90; if these are degrees, multiply by π/180)",
-        ),
-        (
-            "t,x,y,z,qx,qy,qz,roll\n",
-            "p.csv: line 1: column qw is not there; the first line must name the columns t,x,y,z,qx,qy,qz,qw "
-            "(got 't,x,y,z,qx,qy,qz,roll')",
-        ),
-        (
-            "t,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n1,0,0,0,0,0,90,0\n",
-            "p.csv: line 3: qx qy qz qw must be a unit quaternion (got 0 0 90 0, of length 90)",
-        ),
-    ],
-)
-def test_tables_of_poses_that_make_no_sense(text, message):
-    Path("p.csv").write_text(text)
-    assert refused("--poses", "p.csv") == message
-
-
-def test_tables_of_poses_that_cannot_be_read():
-    assert refused("--poses", "none.csv") == (
-        "none.csv: the file of poses must be readable (no such file or directory)"
-    )
-    Path("folder").mkdir()
-    assert refused("--poses", "folder") == "folder: must be a file (got a folder)"
-    Path("p.csv").write_bytes(b"t,x\xff\n")
-    assert refused("--poses", "p.csv") == (
-        "p.csv: the file of poses must be text in UTF-8 (got byte 0xff; save it as UTF-8)"
-    )
-    Path("p.csv").write_text(f"{HEADER}\n0,0,0,0,0,0,0\n", encoding="utf-16")
-    assert refused("--poses", "p.csv") == (
-        "p.csv: the file of poses must be text in UTF-8 (got UTF-16; save it as UTF-8)"
-    )
-
-
-def test_tables_of_poses_go_by_the_names_of_their_columns():
-    Path("p.csv").write_bytes("\ufeffyaw, pitch,roll,z,y,x,note,t\r\n0.6,0.5,0.4,3,2,1,up,9\r\n\r\n".encode())
-    times_s, poses = read_poses("p.csv")
-    np.testing.assert_array_equal(times_s, [9.0])
-    np.testing.assert_array_equal(poses, [sg.pose(1, 2, 3, 0.4, 0.5, 0.6)])
 
 
 NO_EGL = (
@@ -1174,15 +1007,8 @@ def test_process_renders_and_says_nothing_on_stderr():
 
 @pytest.mark.slow
 def test_process_without_egl():
-    done = process(
-        "render",
-        "tank.sdf",
-        "--sonar",
-        "small.toml",
-        "--engine",
-        "opengl",
-        __EGL_VENDOR_LIBRARY_FILENAMES="/nowhere.json",
-    )
+    words = "render", "tank.sdf", "--sonar", "small.toml", "--engine", "opengl"
+    done = process(*words, __EGL_VENDOR_LIBRARY_FILENAMES="/nowhere.json")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"error: {NO_EGL.format('requested device index 0, but found 0 devices')}\n"
 
@@ -1193,9 +1019,8 @@ def test_process_with_too_old_an_opengl():
     with gl.create_context() as context:
         if "Mesa" not in gl.describe(context)["version"]:
             pytest.skip("needs Mesa")
-    done = process(
-        "render", "tank.sdf", "--sonar", "small.toml", "--engine", "opengl", MESA_GL_VERSION_OVERRIDE="3.1"
-    )
+    words = "render", "tank.sdf", "--sonar", "small.toml", "--engine", "opengl"
+    done = process(*words, MESA_GL_VERSION_OVERRIDE="3.1")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: OpenGL must be ") and done.stderr.count("\n") == 1
 
@@ -1218,10 +1043,8 @@ def test_process_in_ascii_tells_mistakes():
 
 
 def test_acoustics_change_fields_of_a_profile():
-    render(
-        "--acoustics",
-        "tvg_k=30,elevation_pattern=gaussian,specular=off,tvg_absorption_db_m=0.5,multipath=none",
-    )
+    text = "tvg_k=30,elevation_pattern=gaussian,specular=off,tvg_absorption_db_m=0.5,multipath=none"
+    render("--acoustics", text)
     made = ping().meta["acoustics"]
     wanted = sg.Acoustics.physical(
         tvg_k=30.0, elevation_pattern="gaussian", specular=False, tvg_absorption_db_m=0.5, multipath="none"
@@ -1243,27 +1066,6 @@ def test_water():
     assert ping().meta["acoustics"] == sg.needed_acoustics(scene, sonar, 0.05, sg.pose(), water).meta()
 
 
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ("temp_c=4", "water 'temp_c=4': unknown name (got 'temp_c'; did you mean 'temperature_c'?)"),
-        (
-            "temperature_c",
-            "water 'temperature_c': temperature_c must have a value, as in temperature_c=... (got none)",
-        ),
-        ("temperature_c=cold", "water 'temperature_c=cold': temperature_c must be a number (got 'cold')"),
-        (
-            "salinity_psu=-1",
-            "water: salinity_psu must lie in 0..45 (got -1; give grams of salt per kilogram of water)",
-        ),
-        ("tvg_k=30", "water 'tvg_k=30': unknown name (got 'tvg_k'; "),
-        ("", "water '': unknown name (got ''; known are "),
-    ],
-)
-def test_mistakes_in_water(text, message):
-    assert refused("--water", text).startswith(f"--{message}")
-
-
 def test_acoustics_are_those_that_the_scene_needs():
     scene, sonar = sg.load_scene("tank.sdf"), sg.load_sonar("small.toml")
     render("--acoustics", "needed")
@@ -1275,26 +1077,18 @@ def test_acoustics_are_those_that_the_scene_needs():
 
 
 @pytest.mark.parametrize(
-    "text, message",
+    ("option", "text", "message"),
     [
-        (
-            "multipth=none",
-            "acoustics 'multipth=none': unknown name (got 'multipth'; did you mean 'multipath'?)",
-        ),
-        ("needed,tvg_k=30", "acoustics 'needed,tvg_k=30': needed takes no other settings"),
-        ("profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
-        ("tvg_k", "acoustics 'tvg_k': tvg_k must have a value, as in tvg_k=... (got none)"),
-        ("tvg_k=8,tvg_k=8", "acoustics 'tvg_k=8,tvg_k=8': tvg_k must be given once"),
-        ("tvg_k=none", "acoustics 'tvg_k=none': tvg_k must be a number (got 'none')"),
-        ("ph=8", "acoustics 'ph=8': ph describes the water, and is a field of Water now ("),
-        ("water=cold", "acoustics 'water=cold': water has an option of its own (give --water "),
-        ("specular=maybe", "acoustics 'specular=maybe': specular must be yes or no (got 'maybe')"),
-        ("tvg_k=400", "acoustics: tvg_k must lie in 0..60 (got 400; usual are 20, 30 and 40)"),
-        ("multipath=coherrent", "acoustics: unknown multipath (got 'coherrent'; did you mean 'coherent' or "),
+        ("acoustics", "needed,tvg_k=30", "acoustics 'needed,tvg_k=30': needed takes no other settings"),
+        ("acoustics", "profile=ideal", "acoustics 'profile=ideal': unknown name (got 'profile'; "),
+        ("acoustics", "water=cold", "acoustics 'water=cold': water has an option of its own (give --water "),
+        ("acoustics", "tvg_k=400", "acoustics: tvg_k must lie in 0..60 (got 400; usual are 20, 30 and 40)"),
+        ("water", "tvg_k=30", "water 'tvg_k=30': unknown name (got 'tvg_k'; "),
+        ("water", "salinity_psu=-1", "water: salinity_psu must lie in 0..45 (got -1; give grams of salt "),
     ],
 )
-def test_mistakes_in_acoustics(text, message):
-    assert refused("--acoustics", text).startswith(f"--{message}")
+def test_mistakes_in_settings_are_told_of_their_option(option, text, message):
+    assert refused(f"--{option}", text).startswith(f"--{message}")
 
 
 def test_what_a_scene_needs_is_of_the_profile_physical():

@@ -12,6 +12,7 @@ import pytest
 from sonar_gl.core import checks, errors
 from sonar_gl.core.checks import check_choice, check_function, check_number, check_whole_number, frozen_array
 from sonar_gl.core.errors import Error
+from tests.support.errors import error_of
 
 
 @pytest.mark.parametrize("module", [checks, errors], ids=["checks", "errors"])
@@ -33,9 +34,7 @@ def test_examples_in_docstrings(module):
 )
 def test_arrays_whose_numbers_would_be_guessed(array, message):
     """NumPy reads text, drops imaginary parts, and shows what a mask hides."""
-    with pytest.raises(Error) as why:
-        frozen_array(array, np.float64, (2,), "x")
-    assert str(why.value) == message
+    assert error_of(frozen_array, array, np.float64, (2,), "x") == message
 
 
 @pytest.mark.parametrize("dtype", [bool, np.int8, np.uint64, np.float16, np.float32, ">f8", object])
@@ -84,9 +83,7 @@ def test_whole_numbers_within_bounds_become_ints(value):
 
 @pytest.mark.parametrize("value", [True, np.True_, None, "1", 1j, np.complex64(1), [1.0], np.array([1.0])])
 def test_values_that_are_not_numbers(value):
-    with pytest.raises(Error) as why:
-        check_number("x", value, 0, 1)
-    assert str(why.value) == f"x must be a number (got {value!r})"
+    assert error_of(check_number, "x", value, 0, 1) == f"x must be a number (got {value!r})"
 
 
 @pytest.mark.parametrize(
@@ -103,9 +100,7 @@ def test_values_that_are_not_numbers(value):
     ],
 )
 def test_numbers_out_of_bounds(bounds, value, message):
-    with pytest.raises(Error) as why:
-        check_number("x", value, *bounds)
-    assert str(why.value) == message
+    assert error_of(check_number, "x", value, *bounds) == message
 
 
 @pytest.mark.parametrize(
@@ -121,9 +116,7 @@ def test_numbers_out_of_bounds(bounds, value, message):
     ],
 )
 def test_whole_numbers_out_of_bounds(bounds, value, message):
-    with pytest.raises(Error) as why:
-        check_whole_number("n", value, *bounds)
-    assert str(why.value) == message
+    assert error_of(check_whole_number, "n", value, *bounds) == message
 
 
 def test_choices():

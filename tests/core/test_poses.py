@@ -11,6 +11,7 @@ from sonar_gl.core import poses as module
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose, pose, pose_numbers, read_poses
 from sonar_gl.scene.scene import Body
+from tests.support.errors import error_of
 
 HEADER = "t,x,y,z,roll,pitch,yaw"
 
@@ -120,9 +121,7 @@ def test_angles_count_where_a_file_has_both(read):
     ],
 )
 def test_pose_of_what_is_not_six_numbers(numbers, message):
-    with pytest.raises(Error) as caught:
-        pose(*numbers)
-    assert str(caught.value) == message
+    assert error_of(pose, *numbers) == message
 
 
 def test_a_pose_that_rounding_has_bent():
@@ -132,9 +131,7 @@ def test_a_pose_that_rounding_has_bent():
         (1.01, "scale the mesh"),
     ):
         bent = turned * [[factor, factor, factor, 1]]
-        with pytest.raises(Error) as caught:
-            check_pose(bent)
-        assert f"(its 3x3 part scales, shears or reflects; {advice}" in str(caught.value)
+        assert f"(its 3x3 part scales, shears or reflects; {advice}" in error_of(check_pose, bent)
 
 
 def test_plain_rows_are_not_parsed_cell_by_cell(read, monkeypatch):
@@ -178,6 +175,67 @@ def test_the_first_mistake_is_named_by_its_line(message, monkeypatch, odd, line,
 
 def test_times_may_be_equal(read):
     assert read("1,0,0,0,0,0,0", "1,1,0,0,0,0,0")[0].tolist() == [1.0, 1.0]
+
+
+COLUMNS = f"the first line must name the columns {HEADER}, or qx,qy,qz,qw in place of the angles"
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        *(
+            (header, f"must hold at least one pose, under the header {HEADER} (got none)")
+            for header in ("", HEADER)
+        ),
+        ("t,x,y,z,roll,pitch", f"line 1: column yaw is not there; {COLUMNS} (got 't,x,y,z,roll,pitch')"),
+        (
+            "t,x,x,y,z,roll,pitch,yaw",
+            f"line 1: column x is more than once; {COLUMNS} (got 't,x,x,y,z,roll,pitch,yaw')",
+        ),
+        *(
+            (
+                HEADER.replace(",", mark),
+                f"line 1: column t is not there; {COLUMNS} (got {HEADER.replace(',', mark)!r}; separate columns by "
+                "commas)",
+            )
+            for mark in (";", "\t", " ", "; ")
+        ),
+        ("0,0,0,0,0,0,0", f"line 1: column t is not there; {COLUMNS} (got '0,0,0,0,0,0,0')"),
+        (
+            "t,x,y,z,qx,qy,qz,roll",
+            "line 1: column qw is not there; the first line must name the columns t,x,y,z,qx,qy,qz,qw (got "
+            "'t,x,y,z,qx,qy,qz,roll')",
+        ),
+    ],
+)
+def test_a_first_line_that_names_no_poses_is_refused(message, header, words):
+    assert message(header=header) == words
+
+
+def test_a_mistake_is_named_by_its_line_also_behind_empty_ones(message):
+    assert message("0,0,0,0,0,0,0", "", "1,2,3") == "line 4: must have 7 cells, as the header has (got 3)"
+    assert message(",0,0,0,0,0,0") == "line 2, column t: must be a finite number (got '')"
+
+
+def test_files_of_poses_that_cannot_be_read(tmp_path):
+    path = tmp_path / "p.csv"
+    for content, words in (
+        (None, "the file of poses must be readable (no such file or directory)"),
+        (b"t,x\xff\n", "the file of poses must be text in UTF-8 (got byte 0xff; save it as UTF-8)"),
+        (HEADER.encode("utf-16"), "the file of poses must be text in UTF-8 (got UTF-16; save it as UTF-8)"),
+    ):
+        if content is not None:
+            path.write_bytes(content)
+        assert error_of(read_poses, path) == f"{path}: {words}"
+    assert error_of(read_poses, tmp_path) == f"{tmp_path}: must be a file (got a folder)"
+
+
+def test_columns_go_by_their_names(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_bytes("\ufeffyaw, pitch,roll,z,y,x,note,t\r\n0.6,0.5,0.4,3,2,1,up,9\r\n\r\n".encode())
+    times_s, poses = read_poses(path)
+    np.testing.assert_array_equal(times_s, [9.0])
+    np.testing.assert_array_equal(poses, [pose(1, 2, 3, 0.4, 0.5, 0.6)])
 
 
 @pytest.mark.parametrize("column", [0, 1, 2])
@@ -241,9 +299,7 @@ def test_only_rotations_and_translations_are_poses():
     ],
 )
 def test_a_position_and_a_quaternion_are_no_pose(given, got):
-    with pytest.raises(Error) as caught:
-        check_pose(given, "poses[2]")
-    assert str(caught.value) == (
+    assert error_of(check_pose, given, "poses[2]") == (
         f"poses[2] must have shape (4, 4) (got {got}; of a position and a quaternion, fill np.eye(4): [:3, :3] with "
         "scipy.spatial.transform.Rotation.from_quat(xyzw).as_matrix(), and [:3, 3] with the position)"
     )
@@ -257,9 +313,7 @@ def test_a_position_and_a_quaternion_are_no_pose(given, got):
     ],
 )
 def test_parts_of_several_shapes_are_no_pose(given):
-    with pytest.raises(Error) as caught:
-        check_pose(given)
-    assert str(caught.value) == (
+    assert error_of(check_pose, given) == (
         f"pose must have shape (4, 4) (got a {type(given).__name__} of parts of several shapes; sonar_gl.pose makes "
         "one from x y z roll pitch yaw)"
     )

@@ -4,8 +4,8 @@ import codecs
 
 import pytest
 
-from sonar_gl.core.errors import Error
 from sonar_gl.core.toml import read_toml
+from tests.support.errors import error_of
 
 
 def test_contents_are_returned_as_a_dict(tmp_path):
@@ -22,13 +22,12 @@ def test_a_mark_of_byte_order_is_skipped(tmp_path):
 
 def test_messages_name_the_file_and_what_it_is(tmp_path):
     path = tmp_path / "a.toml"
-    with pytest.raises(Error) as caught:
-        read_toml(path, "the sonar's file")
-    assert str(caught.value) == f"{path}: the sonar's file must be readable (no such file or directory)"
+    assert (
+        error_of(read_toml, path, "the sonar's file")
+        == f"{path}: the sonar's file must be readable (no such file or directory)"
+    )
     path.write_text("ph = 8 8\n")
-    with pytest.raises(Error) as caught:
-        read_toml(path, "the job file")
-    assert str(caught.value) == (
+    assert error_of(read_toml, path, "the job file") == (
         f"{path}: the job file must be TOML "
         "(Expected newline or end of document after a statement (at line 1, column 8))"
     )
@@ -48,9 +47,10 @@ def test_another_encoding_is_named(tmp_path, data, got):
     path = tmp_path / "a.toml"
     path.write_bytes(data)
     for hint, cure in (("", "save it as UTF-8"), ("name it .toml", "name it .toml")):
-        with pytest.raises(Error) as caught:
-            read_toml(path, "the job file", hint)
-        assert str(caught.value) == f"{path}: the job file must be TOML in UTF-8 (got {got}; {cure})"
+        assert (
+            error_of(read_toml, path, "the job file", hint)
+            == f"{path}: the job file must be TOML in UTF-8 (got {got}; {cure})"
+        )
 
 
 @pytest.mark.parametrize(
@@ -66,9 +66,7 @@ def test_another_encoding_is_named(tmp_path, data, got):
 def test_deep_nesting_is_refused(tmp_path, text):
     path = tmp_path / "a.toml"
     path.write_text(text)
-    with pytest.raises(Error) as caught:
-        read_toml(path, "the job file")
-    assert str(caught.value) == (
+    assert error_of(read_toml, path, "the job file") == (
         f"{path}: the job file must nest tables and arrays at most 32 deep (got more)"
     )
 

@@ -208,11 +208,6 @@ def flipped(P):
         (lambda: sg.Camera.of_fov(2, 2), "must be given its field of view"),
         (lambda: sg.Camera.of_fov(2, 2, 90), r"fov_x_rad must be radians between 0 and π \(got 90\)"),
         (lambda: sg.Camera.of_fov(2, 2, fov_y_rad=0), "fov_y_rad must be radians"),
-        (lambda: sg.Camera.of_projection(np.eye(4), 2, 2), "must be an OpenGL perspective"),
-        (
-            lambda: sg.Camera.of_projection(frustum(-1, 1, -1, 1, 1, 9).T, 2, 2),
-            "must be an OpenGL perspective",
-        ),
         (
             lambda: sg.Camera.of_projection(flipped(frustum(-1, 1, -1, 1, 1, 9)), 2, 2),
             r"projection must have x to the right and y up, \[0, 0\] and \[1, 1\] above 0 \(got 1 and -1; give it",
@@ -227,7 +222,6 @@ def flipped(P):
         ),
         (lambda: sg.Camera(2, 2, SQUARE).pose_gl(np.eye(3)), r"pose must have shape \(4, 4\)"),
         (lambda: sg.Camera.covering("p900-45"), "sonar must be a Sonar"),
-        (lambda: sg.Camera.covering(sg.load_sonar("p900-45"), pixel_deg=0), "pixel_deg must be degrees"),
         (lambda: sg.Camera.covering(sg.load_sonar("p900-45"), pixel_deg=1e-3), "at most 16384 pixels a side"),
     ],
 )

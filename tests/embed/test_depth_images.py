@@ -40,12 +40,12 @@ def sonar_of(fov_deg=40.0, n_beams=80, elevation_deg=16.0, range_m=20.0, n_bins=
     return sg.Sonar("test", 900e3, n_beams, n_bins, fov_deg, elevation_deg, width, 0.0, range_m, **more)
 
 
-def camera_of(sonar, columns=480, rotation=None):
+def camera_of(sonar, columns=480):
     """Return a camera that looks ahead and sees a little more than the fan."""
     fov = math.radians(sonar.azimuth_fov_deg) * 1.05
     top = math.tan(math.radians(sonar.elevation_fov_deg) / 2) / math.cos(fov / 2) * 1.05
     rows = math.ceil(columns * top / math.tan(fov / 2))
-    return sg.Camera.of_fov(columns, rows, fov_x_rad=fov, rotation=rotation)
+    return sg.Camera.of_fov(columns, rows, fov_x_rad=fov)
 
 
 def wrong(ping, truth):

@@ -226,10 +226,10 @@ def mu_of(scene):
     return {number: body.reflectivity for number, body in enumerate(scene.bodies, 1)}
 
 
-def view_of(camera, near_m=0.1, far_m=200.0):
+def view_of(camera):
     return (
         np.linalg.inv(camera.pose_gl(POSE)),
-        camera.projection(near_m, far_m),
+        camera.projection(0.1, 200.0),
         camera.width,
         camera.height,
         camera.rotation,
@@ -419,9 +419,7 @@ def test_invalid_shader_outputs_raise_errors():
     scene = scene_of()
     host = gl_host.Program(scene)
     for kind, mu in (("nan", "mu * sqrt(-1.0 - mu)"), ("loud", "255.0 * mu")):
-        text = gl_host.SONAR.replace("mu, body", f"{mu}, body")
-        text = "#version 330 core\n" + embed.glsl() + text
-        host.programs[kind] = gl_host.make_program(gl_host.VERTEX, text)
+        host.programs[kind] = sonar_program("mu, body", f"{mu}, body")
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
         (sector,) = sensor.sectors(POSE)
         for kind, lattice, message in (
@@ -786,8 +784,7 @@ def test_many_pings_do_not_leak():
 
 def test_too_large_body_numbers_raise_an_error():
     host = gl_host.Program(scene_of())
-    text = "#version 330 core\n" + embed.glsl() + gl_host.SONAR.replace("body, lobe", "body + 70000u, lobe")
-    host.programs["sonar"] = gl_host.make_program(gl_host.VERTEX, text)
+    host.programs["sonar"] = sonar_program("body, lobe", "body + 70000u, lobe")
     with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
         draw(host, sensor)
         assert sensor.finish().intensity.any()

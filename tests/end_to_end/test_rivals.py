@@ -174,8 +174,8 @@ def test_pings_follow_the_pose(name):
 POINTS = [(1.0, 0.1), (10.0, 0.01), (100.0, 0.001)]  # error = 0.1 / ms
 
 
-def times(factor, points=POINTS):
-    return [(factor * ms, error) for ms, error in points]
+def times(factor):
+    return [(factor * ms, error) for ms, error in POINTS]
 
 
 def test_envelope_leaves_out_what_another_beats():

@@ -685,24 +685,10 @@ NAN[0, 3] = np.nan
             lambda: simulator().place(None),
             'bodies must be a dict (got NoneType; such as {"diver": sonar_gl.pose(x=5)}, or None for "not there")',
         ),
-        (
-            lambda: simulator(sampling=None, tolerance=2.0),
-            "tolerance must be a number in 0.001..0.5 (got 2.0; 0.01 is one per cent)",
-        ),
         (lambda: simulator().ping(NAN), "pose must be finite (got NaN or infinity in 1 of 16 numbers)"),
         (
             lambda: simulator().ping(np.eye(3)),
             "pose must have shape (4, 4) (got (3, 3); sonar_gl.pose makes one from x y z roll pitch yaw)",
-        ),
-        (
-            lambda: simulator().ping(np.diag([2.0, 2, 2, 1])),
-            "pose must be a rotation and a translation (its 3x3 part scales, shears or reflects; "
-            "scale the mesh instead)",
-        ),
-        (
-            lambda: sg.pose(0, 0, 0, 0, 0, 90),
-            "pose angles must be radians, within ±2π (got roll pitch yaw = 0 0 90; if these are degrees, "
-            "multiply by π/180; if one is the sum of many turns, wrap it: math.remainder(yaw, 2 * math.pi))",
         ),
         (
             lambda: sg.Body("b", trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [])),
@@ -733,19 +719,6 @@ NAN[0, 3] = np.nan
             "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)",
         ),
         (
-            lambda: sg.Body("b", arrays([[0, 0, 0]] * 3, [[0, 1, 2]])),
-            "body 'b': mesh faces must be an array of whole numbers of shape (F, 3) (got list; "
-            "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)",
-        ),
-        (
-            lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, -1]]))),
-            "body 'b': faces must name vertices 0..2 (got -1)",
-        ),
-        (
-            lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, 3]]))),
-            "body 'b': faces must name vertices 0..2 (got 3)",
-        ),
-        (
             lambda: sg.Body("b", arrays(np.empty((0, 3)), np.array([[0, 1, 2]]))),
             "body 'b': faces must name vertices 0..-1 (got 2)",
         ),
@@ -761,7 +734,6 @@ NAN[0, 3] = np.nan
             lambda: replace(BOX, reflectivity=255),
             "body 'box': reflectivity must lie in 0..1 (got 255 to 255; laser_retro is divided by 255)",
         ),
-        (lambda: sg.Scene([BOX, BOX]), "names of bodies must be unique (got 'box' more than once)"),
         (
             lambda: sg.Scene([BOX], name=None),
             'the name of a scene must be a str (got NoneType; the stem of file names, such as "harbour")',
@@ -777,15 +749,6 @@ NAN[0, 3] = np.nan
         (
             lambda: sg.Scene([BOX], models={5: np.eye(4)}),
             'the name of a model must be a str (got int; such as "boat")',
-        ),
-        (
-            lambda: sg.Scene([]).with_more(BOX),
-            "bodies to add must be an Iterable (got Body; give several, as in scene.with_more([body]))",
-        ),
-        (
-            lambda: sg.Body("b", SimpleNamespace(vertices=np.eye(3), faces=5)),
-            "body 'b': mesh faces must be an array of whole numbers of shape (F, 3) (got int; "
-            "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)",
         ),
     ],
 )
@@ -804,7 +767,10 @@ def test_invalid_arguments_raise_errors(make, message):
             lambda one: sg.Scene([BOX]).with_bodies(one),
             "bodies of a scene must be an Iterable (got ndarray; ",
         ),
-        (lambda one: sg.Scene([BOX]).with_more(one), "bodies to add must be an Iterable (got ndarray; "),
+        (
+            lambda one: sg.Scene([BOX]).with_more(one),
+            "bodies to add must be an Iterable (got ndarray; give several, as in scene.with_more([body]))",
+        ),
         (lambda one: list(simulator().pings(one)), "poses must be several poses (got ndarray; "),
         (lambda one: simulator().plan(one), "poses must be several poses (got ndarray; "),
         (

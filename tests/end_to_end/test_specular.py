@@ -1,6 +1,5 @@
 """Specular lobes: a sphere's target strength, agreement of four implementations, and raster against ray casting."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -202,35 +201,6 @@ def test_levels_of_detail_do_not_change_a_lobe(monkeypatch):
     assert total == pytest.approx(sphere_total(0.5, 6.0, 0.8, 0.03), rel=6e-3)
 
 
-def test_a_body_takes_its_values_from_a_material():
-    steel, one = material("steel"), sg.Body("one", trimesh.creation.box(), reflectivity="Steel")
-    assert (one.reflectivity, one.specular, one.roughness_rad) == (steel.reflectivity, steel.specular, 0.1)
-    assert one.material == "steel"
-    assert replace(one, pose=sg.pose(1)).material == "steel"
-    rusty = sg.Body("one", trimesh.creation.box(), reflectivity="steel", roughness_rad=0.3, specular=0.2)
-    assert (rusty.reflectivity, rusty.specular, rusty.roughness_rad) == (steel.reflectivity, 0.2, 0.3)
-    plain = sg.Body("one", trimesh.creation.box())
-    assert (plain.reflectivity, plain.specular, plain.roughness_rad, plain.material) == (0.5, 0.0, 0.1, None)
-    sand = sg.Body("one", trimesh.creation.box(), reflectivity="sand")
-    assert (sand.specular, sand.roughness_rad, sand.material) == (0.0, 0.1, "medium_sand")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"reflectivity": "steal"}, "body 'one': unknown material (got 'steal'; did you mean 'steel'"),
-        ({"specular": 1.5}, "body 'one': specular must lie in 0..1 (got 1.5)"),
-        ({"specular": np.nan}, "body 'one': specular must lie in 0..1 (got nan)"),
-        ({"specular": "much"}, "body 'one': specular must be a number (got 'much')"),
-        ({"roughness_rad": 0.0}, "body 'one': roughness_rad must lie in 0.01..0.5 (got 0)"),
-        ({"roughness_rad": 5.0}, "body 'one': roughness_rad must lie in 0.01..0.5 (got 5)"),
-    ],
-)
-def test_invalid_materials_raise_errors(arguments, message):
-    with pytest.raises(sg.Error, match=re.escape(message)):
-        sg.Body("one", trimesh.creation.box(), **arguments)
-
-
 def test_the_greatest_echo_of_a_body_includes_its_lobe():
     """A body with a specular lobe and μ = 0 is searched for where no sample hit it."""
     wire = body("wire", primitives.cylinder(0.002, 1.0), sg.pose(8), 0.1, 0.8, 0.1)
@@ -238,22 +208,3 @@ def test_the_greatest_echo_of_a_body_includes_its_lobe():
     assert BodyExtents([wire]).greatest_backscatter(state).tolist() == [0.1]
     (found,) = BodyExtents([wire], specular=True).greatest_backscatter(state)
     assert found == pytest.approx(0.1 + specular_lobe(1, 0.8, 0.1))
-
-
-def test_a_replaced_body_takes_its_values_from_the_new_material():
-    steel = sg.Body("ball", trimesh.creation.icosphere(2), reflectivity="steel")
-    sand = replace(steel, reflectivity="medium sand")
-    fresh = sg.Body("ball", steel.mesh, reflectivity="medium_sand")
-    for name in ("reflectivity", "specular", "roughness_rad", "material"):
-        assert getattr(sand, name) == getattr(fresh, name), name
-
-
-def test_an_unknown_material_raises_an_error_with_the_body_s_name():
-    with pytest.raises(sg.Error, match=r"body 'ball': unknown material \(got 'stel'; did you mean 'steel'"):
-        sg.Body("ball", trimesh.creation.icosphere(2), material="stel")
-
-
-@pytest.mark.parametrize("bodies", ["pylon", [3], None, 7])
-def test_other_contents_of_a_scene_raise_errors(bodies):
-    with pytest.raises(sg.Error, match="a body of a scene must be a"):
-        sg.Scene(bodies)

@@ -1,12 +1,10 @@
-"""The structure of the code: no reaching into other objects, no hidden imports, no old names.
+"""The structure of the code: no reaching into other objects, no hidden imports, no old words.
 
 Lists of exceptions shrink: an entry that is not needed any more fails its test, too, and is to be deleted.
 """
 
 import ast
-import io
 import re
-import tokenize
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -161,71 +159,8 @@ QUOTED = {
     "docs/acoustics.md": {"ghost": "the founding paper's word"},
     "docs/gallery.md": {"ghost": "the founding paper's word"},
     "docs/trials.md": {"tools/variants.py": "a tool of the commit that it names"},
-    "examples/window_host.py": {"screen": "moderngl's framebuffer of a window"},
-}
-# Old names of modules, classes, functions and parameters: what each is called now. Many are ordinary words in a
-# sentence: they stay out of the code's names, and out of `code` in pages.
-REMOVED_NAMES = {
-    "Asked": "PingRequest",
-    "Away": "Cluster",
-    "DrawingRoom": "RenderWorkspace",
-    "Dump": "RenderJob",
-    "Fixed": "FixedSampling",
-    "Given": "ArrayPool",
-    "Grain": "FieldNoise",
-    "Kept": "Schema",
-    "LEFT": "reflected intensity",
-    "Lookup": "ViewIndex",
-    "Maker": "PartMaker",
-    "Mirror": "PlanarReflector",
-    "Mirrors": "TwoReflectors",
-    "Multipath": "ImageSources",
-    "Order": "PingRequest",
-    "Orders": "BatchRequests",
-    "Pair": "SecondThread",
-    "Parts": "Strips",
-    "Pass": "Stage",
-    "Passes": "StageCache",
-    "Planned": "Manifest",
-    "Planner": "AdaptiveSampling",
-    "Record": "Provenance",
-    "Reducer": "Beamformer",
-    "SceneOnGpu": "SceneBuffers",
-    "Told": "provenance",
-    "Trial": "dry run",
-    "Views": "ViewSamples",
-    "Watch": "ReplanTrigger",
-    "Work": "worker task",
-    "beam_reach_rad": "receive_support_rad",
-    "bubble_strength": "backscattering cross section",
-    "compiled_with": "compiled",
-    "cost_plans": "compare_plans",
-    "demarco_artist": "DemarcoStyle",
-    "doubt_of": "count_bodies",
-    "drawn_sonar": "true_range_sonar",
-    "fan_artist": "FanStyle",
-    "find_mirrors": "planar_reflectors",
-    "frozen_field": "place_locked_field",
-    "in_plain_sight": "is_unobstructed",
-    "laid_from_above": "make_strips",
-    "last_views": "keep_last",
-    "left_of": "reflected intensity",
-    "make_guest": "join",
-    "make_parts": "make_strips",
-    "make_room": "make_workspace",
-    "mirrors": "planar reflectors",
-    "two_mirrors": "two_reflectors",
-    "part_column": "Strips.column",
-    "replacing": "atomic_write",
-    "rung_sampling": "sampling_at",
-    "screen": "attenuate_behind_bubbles",
-    "shine": "specular backscatter",
-    "spots_of": "points of bubbles",
-    "table_type": "PingTable",
-    "why_nothing": "why_no_echo",
 }
 TEXTS = {".py", ".pyi", ".md", ".toml", ".cfg", ".sh", ".sdf", ".vert", ".geom", ".frag", ".glsl", ".in"}
-CODE = {".py", ".pyi", ".md"}  # with names, or `code`
 SCRIPTS = ".ci/run", "tools/demo", "tools/test"
 FOLDERS = "sonar_gl", "tests", "tools", "examples", "shaders", "scenes", "docs"
 # The changelog tells of the past, and this file has the list.
@@ -234,7 +169,7 @@ QUOTING = "CHANGELOG.md", Path(__file__).relative_to(ROOT).as_posix()
 
 @cache
 def texts():
-    """All files that people wrote, but for those that quote old names."""
+    """All files that people wrote, but for those that quote old words."""
     found = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in TEXTS]
     found += [path for path in ROOT.iterdir() if path.suffix in TEXTS]
     found += [ROOT / name for name in SCRIPTS]
@@ -248,15 +183,6 @@ def words_in(text):
     ['beams', 'heard', 'or', 'was']
     """
     return {word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", text)}
-
-
-def names_of(path):
-    """Names in the code of a module, or in `code` of a page."""
-    text = text_of(path)
-    if path.suffix == ".md":
-        return set(re.findall(r"\w+", " ".join(re.findall(r"`[^`\n]+`", text))))
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    return {token.string for token in tokens if token.type == tokenize.NAME}
 
 
 def test_old_words_are_found_in_names_and_stems():
@@ -291,14 +217,6 @@ def test_old_words_stay_out():
     is_old = re.compile("|".join(REMOVED_WORDS)).fullmatch
     found = {(name_of(path), word) for path in texts() for word in words_in(text_of(path)) if is_old(word)}
     check_quoted(found, is_old, lambda word: f"write {now_called(word)!r}, by REMOVED_WORDS")
-
-
-def test_old_names_stay_out():
-    """Tokens cost time: only files that have an old name as a word of their text are taken apart."""
-    old = set(REMOVED_NAMES)
-    suspects = [path for path in texts() if path.suffix in CODE and old & identifiers_of(path)]
-    found = {(name_of(path), name) for path in suspects for name in old & names_of(path)}
-    check_quoted(found, old.__contains__, lambda name: f"write {REMOVED_NAMES[name]!r}, by REMOVED_NAMES")
 
 
 def missing_names(text):

@@ -7,6 +7,8 @@ import json
 
 import pytest
 
+from tests.support.host_state import ERRORS
+
 STATES = "pristine", "working", "hostile"
 # Beginnings of names of the state that the guard leaves alone, since neither the sonar nor moderngl change it
 NOT_RESTORED = (
@@ -49,9 +51,6 @@ NOT_RESTORED = (
 )
 
 
-KINDS_OF_ERROR = "INVALID_ENUM", "INVALID_VALUE", "INVALID_OPERATION", "INVALID_FRAMEBUFFER_OPERATION"
-
-
 def check_run(state, got):
     """State and errors stay, pings are those of a simulator alone, and the host's frames stay the same."""
     assert got["values"] > 2500  # of OpenGL 3.3; newer ones have more
@@ -67,7 +66,7 @@ def check_run(state, got):
 def check_guard(got):
     """Its blocks draw as in a new context, and restore what they change."""
     # before it is entered, with drawing, left by an exception, nested, and with each kind of error pending
-    blocks = "made", "block", "raises", "nested", "around nested", *KINDS_OF_ERROR
+    blocks = "made", "block", "raises", "nested", "around nested", *ERRORS
     assert {name: got[name] for name in blocks if got[name]} == {}
     assert got["errors inside"] == []
     assert got["on inside"] == ["MULTISAMPLE", "DITHER"]  # OpenGL's defaults; all other switches are off
@@ -84,7 +83,7 @@ def check_deleting(got):
 
 def check_debug_callback(got):
     """A debug callback gets no error raised inside the guard, except those of the host while it draws."""
-    for name in KINDS_OF_ERROR:
+    for name in ERRORS:
         assert got[name] == [0, [name]]
     assert got["while the host draws"] == [1, ["INVALID_VALUE"]]
     assert got["in a sector"] == [1, ["INVALID_VALUE"]]

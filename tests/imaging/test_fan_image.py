@@ -13,6 +13,7 @@ from sonar_gl.imaging.fan_image import FanGeometry, colorize, colormaps, fan_geo
 from sonar_gl.ping import Ping
 from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import Sonar
+from tests.support.errors import error_of
 from tests.support.fan_ping import fan_ping
 
 HALF_PIXEL = 0.5
@@ -329,21 +330,15 @@ def test_fast_enough():
     ],
 )
 def test_wrong_arguments(keywords, message):
-    with pytest.raises(Error) as caught:
-        fan_image(fan_ping(), **keywords)
-    assert str(caught.value) == message
+    assert error_of(fan_image, fan_ping(), **keywords) == message
 
 
 def test_arrays_that_do_not_match():
     """Of lists, which are refused here, and of what has no bins; arrays are refused where the ping is made."""
-    with pytest.raises(Error) as caught:
-        fan_image(Ping(np.zeros((3, 4)), np.zeros(3), list(range(5))))
-    assert str(caught.value) == (
+    assert error_of(fan_image, Ping(np.zeros((3, 4)), np.zeros(3), list(range(5)))) == (
         "a ping's range_m must be an array of numbers (got [0, 1, 2, 3, 4]; numpy.array makes one)"
     )
-    with pytest.raises(Error) as caught:
-        fan_image(Ping(np.zeros((3, 0)), np.zeros(3), np.zeros(0)))
-    assert str(caught.value) == (
+    assert error_of(fan_image, Ping(np.zeros((3, 0)), np.zeros(3), np.zeros(0))) == (
         "a ping's intensity must be (beams, bins), at least one of each "
         "(got (3, 0) with 3 azimuths and 0 ranges)"
     )
@@ -378,9 +373,7 @@ def test_arrays_that_make_no_fan(fields, message):
     """Degrees, for instance, or starboard last: the picture would be wrong, or the error one of OpenCV."""
     good = Ping(np.zeros((3, 2)), np.array([-0.2, 0.0, 0.2]), np.array([1.0, 2.0]))
     fan_image(good)
-    with pytest.raises(Error) as caught:
-        fan_image(replace(good, **fields))
-    assert str(caught.value) == f"a ping's {message}"
+    assert error_of(fan_image, replace(good, **fields)) == f"a ping's {message}"
 
 
 @pytest.mark.parametrize("counts", [Counts(), LINEAR, Counts("power", gain_percentile=50)])
@@ -485,9 +478,7 @@ def test_colours():
     ],
 )
 def test_wrong_colours(image, name, message):
-    with pytest.raises(Error) as caught:
-        colorize(image, name)
-    assert str(caught.value) == message
+    assert error_of(colorize, image, name) == message
 
 
 def test_a_colour_map_that_is_no_name():
@@ -502,8 +493,6 @@ def test_geometry_is_plain_and_comparable():
 
 def test_an_array_in_place_of_a_ping_is_an_error():
     for function in (fan_image, fan_geometry):
-        with pytest.raises(Error) as caught:
-            function(np.ones((4, 5), np.float32))
-        assert str(caught.value) == (
+        assert error_of(function, np.ones((4, 5), np.float32)) == (
             "ping must be a Ping (got ndarray; sonar_gl.Ping(intensity, azimuth_rad, range_m) makes one of arrays)"
         )

@@ -63,7 +63,7 @@ def choose(some, pose, view):
     return [tuple(row) for row in found.chosen.tolist()], placed
 
 
-def corners_in(view, some, placed, patch, body, m=None):
+def corners_in(view, some, placed, patch, body):
     """Return the corners of a patch's faces in the sector's frame, (n, 3, 3)."""
     levels = some.levels
     first, n = levels["first_face"][patch], levels["n_faces"][patch]
@@ -87,12 +87,12 @@ def keep_points(monkeypatch):
     monkeypatch.setattr(scene_meshes.SceneMeshes, "add", adding)
 
 
-def any_inside(corners, view, slack=0.0):
+def any_inside(corners, view):
     """Return whether vertices, or random points of the faces, lie in the view of a sector and in range."""
     weights = np.random.default_rng(0).dirichlet([1, 1, 1], 12)
     weights = np.concatenate([weights, np.eye(3)])
     x, y, z = np.einsum("sk,fkc->cfs", weights, corners)
-    ahead = x > scene_meshes.NEAR_M + slack
+    ahead = x > scene_meshes.NEAR_M
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = -y / x, z / x
     low_u, high_u, low_v, high_v = SectorGeometry(*view.geometry).limits

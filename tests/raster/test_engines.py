@@ -124,9 +124,9 @@ def compare(scene, sonar, pose, samples, drawn) -> Difference:
     return Difference(hits, others, echoes)
 
 
-def both_engines(scene, sonar, pose, sampling=SAMPLING):
+def both_engines(scene, sonar, pose):
     """Return the samples of the CPU and of OpenGL."""
-    return [draw_sectors(scene, sonar, pose, engine, sampling) for engine in ("cpu", "opengl")]
+    return [draw_sectors(scene, sonar, pose, engine, SAMPLING) for engine in ("cpu", "opengl")]
 
 
 def test_the_rasteriser_reads_the_columns_that_scenes_write():

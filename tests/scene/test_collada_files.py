@@ -55,8 +55,10 @@ def read(tmp_path):
     return bounds
 
 
-def geometries(*names, count=9):
-    return f"<library_geometries>{''.join(GEOMETRY.format(name=n, count=count) for n in names)}</library_geometries>"
+def geometries(*names):
+    return (
+        f"<library_geometries>{''.join(GEOMETRY.format(name=n, count=9) for n in names)}</library_geometries>"
+    )
 
 
 def test_a_geometry_stays_whose_material_cannot_be_read(read):

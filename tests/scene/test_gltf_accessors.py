@@ -7,9 +7,9 @@ import warnings
 import numpy as np
 import pytest
 
-from sonar_gl.core.errors import Error
 from sonar_gl.scene import gltf_accessors, mesh_files
 from sonar_gl.scene.load import load_scene
+from tests.support.errors import error_of
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], np.float32)
 PLAIN = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}
@@ -87,9 +87,7 @@ def test_positions_that_would_be_read_wrongly_are_refused(
 ):
     monkeypatch.setattr(gltf_accessors, "find_spec", lambda name: None)
     path = write(accessor, [primitive], **others)
-    with pytest.raises(Error) as caught:
-        load_scene(path)
-    assert str(caught.value) == (
+    assert error_of(load_scene, path) == (
         f"{path}: the positions of mesh 'hull' must be plain numbers (got {got}; import the file into Blender, and "
         "export it without compression)"
     )
@@ -98,9 +96,7 @@ def test_positions_that_would_be_read_wrongly_are_refused(
 def test_a_view_beyond_its_buffer_is_refused_without_an_empty_text(write):
     """trimesh asserts it, and gives no text."""
     path = write(bufferViews=[{"buffer": 0, "byteLength": 64}])
-    with pytest.raises(Error) as caught:
-        load_scene(path)
-    assert str(caught.value) == f"{path}: trimesh cannot read this mesh (AssertionError)"
+    assert error_of(load_scene, path) == f"{path}: trimesh cannot read this mesh (AssertionError)"
 
 
 def test_draco_with_its_library_or_with_plain_positions_beside_it(write, monkeypatch):

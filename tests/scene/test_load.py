@@ -27,6 +27,7 @@ from sonar_gl.scene.placed_shapes import PlacedShapes
 from sonar_gl.scene.primitives import box
 from sonar_gl.scene.pyrender_scene import import_pyrender
 from sonar_gl.scene.scene import Scene
+from tests.support.errors import error_of
 from tests.support.processes import python
 
 ENDINGS = ".sdf .world .urdf .xacro .xml .mjcf .glb .gltf .obj .stl .ply .dae"
@@ -206,9 +207,7 @@ def test_a_missing_file_of_another_case_or_with_a_slip_is_suggested(tmp_path):
         ("harbour wall.obj", "did you mean 'Harbour wall.OBJ'?"),
         ("notes.sdf", "bundled scenes are named without an ending"),
     ):
-        with pytest.raises(Error) as caught:
-            load_scene(tmp_path / name)
-        assert str(caught.value) == f"{tmp_path / name}: there is no such file ({hint})"
+        assert error_of(load_scene, tmp_path / name) == f"{tmp_path / name}: there is no such file ({hint})"
 
 
 @pytest.mark.parametrize("suffix", ["glb", "obj", "stl"])
@@ -492,9 +491,7 @@ def test_a_pyopengl_too_old_for_python_3_14_is_told(pyrender, monkeypatch):
         if installed != "3.1.0":
             assert import_pyrender() is pyrender
             continue
-        with pytest.raises(Error) as caught:
-            import_pyrender()
-        assert str(caught.value) == (
+        assert error_of(import_pyrender) == (
             "pyrender must have PyOpenGL>=3.1.6 to draw in Python 3.14 (got 3.1.0, which pyrender itself asks for; to "
             f"add it: {sys.executable} -m pip install 'PyOpenGL>=3.1.6', and do not mind that pip then says so)"
         )
@@ -640,9 +637,7 @@ def test_bodies_are_left_out_by_name():
         scene.with_bodies([far, plume])
     assert scene.with_surface(-1.0).surface_z_m == -1.0 and scene.with_surface(None).surface_z_m is None
     for leave in (scene.without, scene.only):
-        with pytest.raises(Error) as caught:
-            leave("boat_1", "bat_1")
-        assert str(caught.value) == (
+        assert error_of(leave, "boat_1", "bat_1") == (
             "names must be those of bodies of the scene (got 'bat_1'; did you mean 'boat_1' or 'boat_2'?)"
         )
         with pytest.raises(Error, match="a name of bodies must be a str"):
@@ -718,6 +713,7 @@ def test_a_scene_is_not_changed(name):
 @pytest.mark.parametrize("skip", ["no", 1, None, np.array([True])])
 def test_whether_to_skip_what_is_missing_is_true_or_false(skip):
     """A text such as "no" would be taken for True."""
-    with pytest.raises(Error) as caught:
-        load_scene("pylon", skip_missing=skip)
-    assert str(caught.value) == f"skip_missing must be True or False (got {skip!r})"
+    assert (
+        error_of(load_scene, "pylon", skip_missing=skip)
+        == f"skip_missing must be True or False (got {skip!r})"
+    )

@@ -160,7 +160,7 @@ def test_unknown_materials_are_refused(name, words):
 def test_a_material_sets_what_a_body_leaves_out():
     box = trimesh.creation.box((1, 1, 1))
     whole, steel = sg.Body("plate", box, reflectivity="steel"), material("steel")
-    for body in (whole, sg.Body("plate", box, material="steel")):
+    for body in (whole, sg.Body("plate", box, material="Steel")):
         got = body.material, body.reflectivity, body.specular, body.roughness_rad
         assert got == ("steel", steel.reflectivity, steel.specular, steel.roughness_rad)
     rusty = sg.Body("plate", box, material="steel", reflectivity=0.3, roughness_rad=0.2)
@@ -174,8 +174,28 @@ def test_a_material_sets_what_a_body_leaves_out():
     )
     plain = sg.Body("plate", box)
     assert (plain.reflectivity, plain.specular, plain.roughness_rad, plain.material) == (0.5, 0.0, 0.1, None)
+    sand = replace(whole, reflectivity="sand")
+    assert (sand.specular, sand.roughness_rad, sand.material) == (0.0, 0.1, "medium_sand")
+    assert replace(sand, pose=sg.pose(1)).material == "medium_sand"
     with pytest.raises(sg.Error, match=r"body 'plate': reflectivity must have shape .* one for each face"):
         sg.Body("plate", box, reflectivity=[0.5] * 8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"reflectivity": "steal"}, r"unknown material \(got 'steal'; did you mean 'steel'"),
+        ({"material": "stel"}, r"unknown material \(got 'stel'; did you mean 'steel'"),
+        ({"specular": 1.5}, r"specular must lie in 0\.\.1 \(got 1\.5\)"),
+        ({"specular": np.nan}, r"specular must lie in 0\.\.1 \(got nan\)"),
+        ({"specular": "much"}, r"specular must be a number \(got 'much'\)"),
+        ({"roughness_rad": 0.0}, r"roughness_rad must lie in 0\.01\.\.0\.5 \(got 0\)"),
+        ({"roughness_rad": 5.0}, r"roughness_rad must lie in 0\.01\.\.0\.5 \(got 5\)"),
+    ],
+)
+def test_invalid_materials_raise_errors(arguments, message):
+    with pytest.raises(sg.Error, match=f"^body 'one': {message}"):
+        sg.Body("one", trimesh.creation.box(), **arguments)
 
 
 @pytest.mark.parametrize("wrong", [-0.1, 1.1])

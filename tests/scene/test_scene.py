@@ -86,3 +86,9 @@ def test_faces_that_are_no_array_are_refused(faces):
         sg.Error, match=r"^body 'odd': mesh faces must be an array of whole numbers .* \(got list; "
     ):
         sg.Body("odd", mesh)
+
+
+@pytest.mark.parametrize("bodies", ["pylon", [3], None, 7])
+def test_other_contents_of_a_scene_are_refused(bodies):
+    with pytest.raises(sg.Error, match="a body of a scene must be a"):
+        sg.Scene(bodies)

@@ -73,11 +73,12 @@ def plate_on_floor_echo(height, top, x0, azimuth, elevation_max, edges):
     return plate + before + behind
 
 
-def floor_echo(height, pitch_rad, azimuth, elevation_pattern, edges, nodes=400_000):
+def floor_echo(height, pitch_rad, azimuth, elevation_pattern, edges):
     """Return dE/dψ of a floor by the midpoint rule over all sines of elevation, weighed by a pattern.
 
     elevation_pattern : function (sine of elevation) -> two-way power; azimuth : shape (N, 1)
     """
+    nodes = 400_000
     sine = (np.arange(nodes) + 0.5) / nodes * 2 - 1
     weight, out = elevation_pattern(sine) * 2 / nodes, []
     for psi in azimuth[:, 0]:

@@ -15,7 +15,6 @@ def make_sonar(
     )
 
 
-def box_fan(sonar, columns_per_beam=2.0, rows=32) -> Fan:
+def box_fan(sonar) -> Fan:
     """Return the fan of a sonar whose beams are boxes."""
-    sampling = sg.Sampling(columns_per_beam, rows)
-    return make_fan(sonar, sampling, BeamShape(math.radians(sonar.beam_width_deg) / 2))
+    return make_fan(sonar, sg.Sampling(2.0, 32), BeamShape(math.radians(sonar.beam_width_deg) / 2))

@@ -75,10 +75,10 @@ def histogram(buffers, sonar):
     return np.histogram(ranges, sonar.bin_edges_m, weights=echoes)[0]
 
 
-def zbuffer_range(range_m, near_m, far_m, bits=24):
-    """Return a range on the axis after rounding by a z-buffer of `bits` bits."""
+def zbuffer_range(range_m, near_m, far_m):
+    """Return a range on the axis after rounding by a z-buffer of 24 bits."""
     depth = far_m / (far_m - near_m) * (1 - near_m / np.asarray(range_m, np.float64))
-    depth = np.round(depth * (2**bits - 1)) / (2**bits - 1)
+    depth = np.round(depth * (2**24 - 1)) / (2**24 - 1)
     return near_m * far_m / (far_m - depth * (far_m - near_m))
 
 

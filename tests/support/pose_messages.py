@@ -26,14 +26,14 @@ def _pose(matrix, **changes):
     )
 
 
-def pose_stamped(matrix, frame="world", time_ns=0, **changes):
+def pose_stamped(matrix, frame="world", **changes):
     """Return the bytes of a geometry_msgs/PoseStamped."""
     types = message_types()
-    header = types.header(time_ns, frame)
+    header = types.header(0, frame)
     return types.encode(types.make("geometry_msgs/PoseStamped", header, _pose(matrix, **changes)))
 
 
-def odometry(matrix, frame="world", time_ns=0, child="base_link", **changes):
+def odometry(matrix, frame="world", time_ns=0, **changes):
     """Return the bytes of a nav_msgs/Odometry."""
     types = message_types()
     zero = types.make("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
@@ -41,7 +41,9 @@ def odometry(matrix, frame="world", time_ns=0, child="base_link", **changes):
         "geometry_msgs/TwistWithCovariance", types.make("geometry_msgs/Twist", zero, zero), np.zeros(36)
     )
     placed = types.make("geometry_msgs/PoseWithCovariance", _pose(matrix, **changes), np.zeros(36))
-    return types.encode(types.make("nav_msgs/Odometry", types.header(time_ns, frame), child, placed, twist))
+    return types.encode(
+        types.make("nav_msgs/Odometry", types.header(time_ns, frame), "base_link", placed, twist)
+    )
 
 
 def transforms(*links):

@@ -202,12 +202,12 @@ def silhouette():
     return difference(point, exact), difference(ours, exact)
 
 
-def paint_before_a_wall(distance_m, gap_m=0.005):
-    """Return (naive, ours): share of a wall's echo that passes through a silent plate `gap_m` before it.
+def paint_before_a_wall(distance_m):
+    """Return (naive, ours): share of a wall's echo that passes through a silent plate 5 mm before it.
 
     The naive method uses the depth of the projection; both have a near plane of 1 mm.
     """
-    bodies = [plate("wall", distance_m, distance_m), plate("paint", distance_m - gap_m, distance_m, 0.0)]
+    bodies = [plate("wall", distance_m, distance_m), plate("paint", distance_m - 0.005, distance_m, 0.0)]
     sonar = replace(SONAR, range_max_m=1.3 * distance_m)
     bare, ours = ping(bodies[:1], sonar).intensity.sum(), ping(bodies, sonar).intensity.sum()
     with naive.projection_depth():

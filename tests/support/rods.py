@@ -69,12 +69,13 @@ def shifts(rng):
     return STEP_M * np.arange(SHIFTS)[:, None] * [0.0, math.cos(angle), math.sin(angle)]
 
 
-def true_echo(rod, sonar, place, along=300, around=16):
+def true_echo(rod, sonar, place):
     """Return the sum over beams and bins of a ping of the rod alone, profile `ideal`, sonar at `place`, not rotated.
 
     This is a quadrature of cos²θ dA / r² over the insonified half of the side and the insonified end; each point counts
     once for each box beam that covers its azimuth. A rod is convex, so no part of it is hidden.
     """
+    along, around = 300, 16  # points
     start, stop = rod.start - place, rod.stop - place
     length, radius = np.linalg.norm(stop - start), rod.diameter_m / 2
     axis = (stop - start) / length

@@ -47,19 +47,19 @@ class RayCaster:
 class TwoBounces:
     """Single-bounce and double-bounce echoes of a sonar with box beams, for bodies with one reflectivity each.
 
+    Reflectors return all energy at all angles, and both ways of a single bounce add up incoherently.
+
     Parameters
     ----------
     scene : faces of the bodies in `reflectors`, and a surface at `surface_z_m`, reflect
     reflectors : names of bodies
-    reflection : |R|² of every reflector, at all angles
     pattern : two-way elevation pattern, a function of the sine of the elevation; None for a constant
     """
 
-    def __init__(self, scene, sonar, pose, reflectors, reflection=1.0, multipath="incoherent", pattern=None):
+    def __init__(self, scene, sonar, pose, reflectors, pattern=None):
         self.sonar, self.pattern = sonar, pattern or np.ones_like
         self.mu = np.array([float(body.reflectivity) for body in scene.bodies])
         self.is_reflector = np.array([body.name in reflectors for body in scene.bodies])
-        self.reflection, self.single_bounce_gain = reflection, 2.0 if multipath == "coherent" else 1.0
         self.surface = None if scene.surface_z_m is None else (pose[2, :3], scene.surface_z_m - pose[2, 3])
         self.hits = RayCaster(scene, pose, self.surface).hits
 
@@ -85,11 +85,11 @@ class TwoBounces:
             x[ok] for x in (rays, azimuth, to_reflector, start, turned, beyond, face, met)
         )
         place, bounced = start + turned * beyond[:, None], to_reflector + beyond
-        mu, loss = self.mu[met], self.reflection
+        mu = self.mu[met]
         out = np.zeros((sonar.n_beams, sonar.n_bins))
         # double bounce: both ways by the reflector
         incidence = -(turned * face).sum(axis=1)
-        self._put(out, azimuth, bounced, mu * incidence * loss**2 * self.pattern(rays[:, 2]))
+        self._put(out, azimuth, bounced, mu * incidence * self.pattern(rays[:, 2]))
         # single bounce: the point must be visible directly, from the same side, and within the fan
         straight = np.linalg.norm(place, axis=1)
         back = -place / straight[:, None]
@@ -101,7 +101,7 @@ class TwoBounces:
         if self.surface is not None:
             visible &= place @ self.surface[0] < self.surface[1]
         mean = (straight + bounced) / 2
-        energy = self.single_bounce_gain * mu * other * loss * (mean / straight) ** 2 * visible
+        energy = mu * other * (mean / straight) ** 2 * visible
         energy *= np.sqrt(self.pattern(rays[:, 2]) * self.pattern(np.clip(place[:, 2] / straight, -top, top)))
         self._put(out, azimuth, mean, energy)
         self._put(out, there, mean, energy)

@@ -36,7 +36,7 @@ def read_numbers(element, location: str, count: int, positive: bool = False) -> 
     return out
 
 
-def read_pose(element, location: str, large_angles: dict | None = None) -> np.ndarray:
+def read_pose(element, location: str, large_angles: dict) -> np.ndarray:
     """Return the (4, 4) matrix of a `<pose>` element; the identity if it is None or empty.
 
     The location is added to `large_angles` if its radians were probably meant as degrees.
@@ -59,7 +59,7 @@ def read_pose(element, location: str, large_angles: dict | None = None) -> np.nd
     values = read_numbers(element, location, 6)
     if element.get("degrees", "false").strip() in ("true", "1"):
         return pose(*values[:3], *np.radians(np.fmod(values[3:], 360.0)))
-    if np.abs(values[3:]).max() > USUAL_ANGLE_RAD and large_angles is not None:
+    if np.abs(values[3:]).max() > USUAL_ANGLE_RAD:
         large_angles[element.get(OF_ORIGIN, location)] = OF_ORIGIN in element.attrib
     return pose(*values[:3], *np.fmod(values[3:], 2 * np.pi))
 
