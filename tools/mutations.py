@@ -2266,6 +2266,12 @@ MUTATIONS = (
         ("batch/test_batch::test_errors_in_a_job_name_file_table_and_key",),
     ),
     Mutation(
+        "core/an interrupt while Numba compiles",
+        "with delayed_interrupt():",
+        "with suppress():",
+        ("core/test_compiled::test_an_interrupt_waits_until_a_function_is_compiled",),
+    ),
+    Mutation(
         "batch/signals that come at once",
         "if time.monotonic() < stopped_s + REPEAT_S:",
         "if False:",
