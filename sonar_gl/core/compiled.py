@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from contextlib import suppress
 from functools import cache
 from inspect import getfile
 from pathlib import Path
@@ -19,6 +20,7 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
 from sonar_gl.core.errors import Error
+from sonar_gl.core.signals import delayed_interrupt
 from sonar_gl.core.warn import warn_caller
 
 if config.DISABLE_JIT:  # intrinsics have no other form, and a ping would take minutes
@@ -81,10 +83,8 @@ def uncounted(function):
 def _kept(function, options: dict):
     """Compile a function, and keep its machine code on disk where that is possible."""
     kept = _KeptFunction(function, targetoptions={"nopython": True, "boundscheck": None, **options})
-    try:
+    with suppress(RuntimeError):  # "cannot cache function": no writable folder
         kept.enable_caching()
-    except RuntimeError:  # "cannot cache function": no writable folder
-        return njit(**options)(function)
     return kept
 
 
@@ -142,7 +142,8 @@ class _FilesOfFunction(FunctionCache):
 class _KeptFunction(CPUDispatcher):
     """A compiled function that runs also where the disk is full, or its files there are damaged.
 
-    Numba raises what it meets there, of a full disk after the function has been compiled.
+    Numba raises what it meets there, of a full disk after the function has been compiled. After a KeyboardInterrupt in
+    the middle of its own work, Numba compiles and reads no more functions in that process.
     """
 
     def enable_caching(self):
@@ -151,6 +152,10 @@ class _KeptFunction(CPUDispatcher):
 
     def compile(self, signature):
         """Compile the function for types of arguments, or read the machine code for them from disk."""
+        with delayed_interrupt():
+            return self._compile(signature)
+
+    def _compile(self, signature):
         is_new = False
         while True:
             n_before = len(self.overloads)

@@ -1,3 +1,38 @@
-"""Signals that end commands."""
+"""Signals that end commands, or interrupt a program."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 REPEAT_S = 0.3  # within it, signals are one: `timeout` sends its own to a command and to the group of it
+
+
+@contextmanager
+def delayed_interrupt() -> Iterator[None]:
+    """Delay Ctrl-C until the end of the block, for work that must not stop half way; a second one stops it at once.
+
+    It has no effect where Ctrl-C does not raise KeyboardInterrupt by Python's own handler: in other threads, and under
+    a handler of the program or of a command.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    is_interrupted = False
+
+    def note(number, frame):
+        nonlocal is_interrupted
+        if is_interrupted:
+            raise KeyboardInterrupt
+        is_interrupted = True
+
+    try:
+        signal.signal(signal.SIGINT, note)
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if is_interrupted:
+            raise KeyboardInterrupt

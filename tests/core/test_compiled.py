@@ -103,6 +103,46 @@ def test_damaged_files_of_machine_code_are_written_again(suffix, n_bytes, tmp_pa
     assert again(1) == 2 and sum(again.stats.cache_hits.values()) == 1
 
 
+# Ctrl-C where Numba looks for new types and functions: at the first look, in a generator that then ended for good.
+INTERRUPT = """
+import math, signal, sys
+from sonar_gl.core.compiled import compiled
+
+@compiled
+def double(x):
+    return 2 * x
+
+@compiled
+def root(x):
+    return math.sqrt(double(x))
+
+def ctrl_c(frame, event, arg):
+    if frame.f_code.co_name == sys.argv[1]:
+        sys.settrace(None)
+        signal.raise_signal(signal.SIGINT)
+
+sys.settrace(ctrl_c)
+try:
+    double(1)
+except KeyboardInterrupt:
+    print("interrupted", double.nopython_signatures)
+print(root(8.0), signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+"""
+
+
+@pytest.mark.parametrize("place", ["stream_list", "new_registrations"])
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_an_interrupt_waits_until_a_function_is_compiled(place, is_kept, tmp_path):
+    """After Ctrl-C in the first ping of a notebook, later pings ended with "generator raised StopIteration"."""
+    if is_kept:
+        (tmp_path / "program.py").write_text(INTERRUPT)
+        words = [tmp_path / "program.py"]
+    else:
+        words = ["-c", INTERRUPT]
+    run = python(*words, place, environment={"NUMBA_CACHE_DIR": str(tmp_path)})
+    assert run.stdout.splitlines() == ["interrupted [(int64,) -> int64]", "4.0 True"], run.stderr
+
+
 def test_files_of_machine_code_that_stay_damaged_are_named(tmp_path, monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     assert kept_function()(1) == 2
