@@ -86,6 +86,7 @@ SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("batch/test_batch",), ("test_simulator",)
 RESTS = ("batch/test_batch::test_bodies_rest_on_a_floor_however_they_turn",)
 CLEAR = ("batch/test_batch::test_bodies_keep_clear_of_each_other",)
+HELD = ("batch/test_batch::test_what_is_drawn_holds_for_consecutive_pings_of_a_path",)
 ABSENT = ("batch/test_batch::test_a_body_without_a_clear_place_is_absent",)
 BESIDE_FLOOR = ("batch/test_batch::test_what_rests_takes_plumes_along_and_keeps_its_height_beside_the_floor",)
 FIRST_PLACE = ("batch/test_batch::test_a_sonar_is_inside_a_body_where_the_first_ping_has_both",)
@@ -2257,6 +2258,13 @@ MUTATIONS = (
     ),
     Mutation(
         "batch/places that are taken", "for b, least_m in taken.values()", "for b, least_m in []", CLEAR
+    ),
+    Mutation("batch/draws that hold", "(number - run.numbers.start) % (vary", "number % (vary", HELD),
+    Mutation(
+        "batch/clear places that hold",
+        "self._draw_bodies(run.scene, drawn, random)",
+        "self._draw_bodies(run.scene, number, random)",
+        HELD,
     ),
     Mutation("batch/least distance", ">= max(table.clearance_m, least_m)", ">= 0", CLEAR),
     Mutation(

@@ -157,11 +157,13 @@ class VaryTable(Table):
 
     Attributes
     ----------
+    hold_pings : consecutive pings of a path that have the draws of the first of them; None for new draws in each ping
     bodies : bodies that move
     water : fields of `Water`
     noise : fields of `Noise`
     """
 
+    hold_pings: Annotated[int, Field(ge=1)] = None
     bodies: list[MovedTable] = Field([])
     water: dict[str, Varied] = Field({})
     noise: dict[str, Varied] = Field({})

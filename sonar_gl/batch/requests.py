@@ -250,14 +250,19 @@ class BatchRequests(Sequence):
             raise IndexError(f"a job has pings 0..{len(self) - 1} (got {number})")
         run = self.runs[bisect_right(self._starts, number) - 1]
         time_s, vehicle_pose = run.trajectory[number - run.numbers.start]
-        random = self._random(VARY_STREAM, number)
-        vary = self.job.vary  # the order of the draws below decides the bytes of data sets
+        vary = self.job.vary
+        drawn = number - (number - run.numbers.start) % (
+            vary.hold_pings or 1
+        )  # the ping whose draws this one has
+        random = self._random(
+            VARY_STREAM, drawn
+        )  # the order of the draws below decides the bytes of data sets
         water = {key: _draw(random, value) for key, value in sorted(vary.water.items())}
         noise = {
             key: (_draw_whole if key == WHOLE_NOISE else _draw)(random, value)
             for key, value in sorted(vary.noise.items())
         }
-        bodies, reflectivity = self._draw_bodies(run.scene, number, random) if vary.bodies else ({}, {})
+        bodies, reflectivity = self._draw_bodies(run.scene, drawn, random) if vary.bodies else ({}, {})
         return BatchRequest(
             number,
             run.scene,

@@ -481,6 +481,46 @@ def test_one_of_several_bodies_is_there_at_a_time_each_as_often(tmp_path):
     assert not any(alone)  # it is always there, as it is in the scene
 
 
+def test_what_is_drawn_holds_for_consecutive_pings_of_a_path(tmp_path):
+    """Bodies, water and noise stay for 4 pings, begin anew with each path and scene, and are those of the first one."""
+    path = write_job(tmp_path, 10, "")
+    other = f'<sdf version="1.9"><world name="other">{BOX}</world></sdf>'
+    (tmp_path / "other.sdf").write_text(other)
+    orbit = {"kind": "orbit", "centre_m": [3.0, 0.0, 0.0], "radius_m": 2.0, "z_m": 0.0, "turns": 1}
+    plain = read_job(path).plain
+    plain |= {"scenes": ["tank.sdf", "other.sdf"], "poses": [*plain["poses"], orbit | {"n_pings": 5}]}
+    # places that are drawn again until they are clear hold, too
+    box = {
+        "names": ["box_1"],
+        "x_m": [-0.5, 3.5],
+        "y_m": [-1.0, 1.0],
+        "there": 0.9,
+        "reflectivity": [0.1, 0.9],
+    }
+    wall = {"names": ["wall"], "x_m": [-2.0, 0.0], "clearance_m": 1.0}
+    vary = {"bodies": [wall, box | {"clearance_m": 0.1}], "water": {"temperature_c": [2.0, 20.0]}}
+    vary["noise"] = {"ambient_db": [-90.0, -60.0]}
+
+    def drawn(**hold):
+        requests = BatchRequests(Job(**plain | {"vary": vary | hold}))
+        return requests, [
+            repr((one.bodies, one.reflectivity, one.water, one.noise.ambient_db)) for one in requests
+        ]
+
+    each, held = drawn()[1], drawn(hold_pings=4)
+    requests, found = held
+    starts = [run.numbers.start for run in requests.runs]
+    assert starts == [0, 10, 20, 25] and len(requests) == 30
+    firsts = [0, 4, 8, 10, 14, 18, 20, 24, 25, 29]
+    assert found == [each[max(first for first in firsts if first <= n)] for n in range(30)]
+    assert len(set(found)) == len(firsts)
+    assert [requests[n].vehicle_pose.tolist() for n in range(30)] == [
+        one.vehicle_pose.tolist() for one in drawn()[0]
+    ]
+    assert drawn(hold_pings=1)[1] == each
+    assert drawn(hold_pings=100)[1] == [each[max(s for s in starts if s <= n)] for n in range(30)]
+
+
 def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_path):
     """A box that lies rolled and turned at another place: its position has the shift added, its axes the turn."""
     path = write_job(tmp_path, 2, "")
