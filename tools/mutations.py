@@ -86,6 +86,7 @@ SDF, SENSORS = ("test_sdf",), ("test_sensors",)
 SAMPLING, REQUESTS, EMPTY_PINGS = ("test_sampling",), ("batch/test_batch",), ("test_simulator",)
 RESTS = ("batch/test_batch::test_bodies_rest_on_a_floor_however_they_turn",)
 CLEAR = ("batch/test_batch::test_bodies_keep_clear_of_each_other",)
+LEFT_BEHIND = ("batch/test_batch::test_parts_that_a_table_leaves_behind_are_warned_of",)
 HELD = ("batch/test_batch::test_what_is_drawn_holds_for_consecutive_pings_of_a_path",)
 ABSENT = ("batch/test_batch::test_a_body_without_a_clear_place_is_absent",)
 BESIDE_FLOOR = ("batch/test_batch::test_what_rests_takes_plumes_along_and_keeps_its_height_beside_the_floor",)
@@ -2266,6 +2267,13 @@ MUTATIONS = (
         "self._draw_bodies(run.scene, number, random)",
         HELD,
     ),
+    Mutation(
+        "batch/parts that another table names",
+        "for n in range(1, len(parts)) if name not in named):",
+        "for n in range(1, len(parts))):",
+        LEFT_BEHIND,
+    ),
+    Mutation("batch/tables that move nothing", "k if _moves(table) else None", "k", LEFT_BEHIND),
     Mutation("batch/least distance", ">= max(table.clearance_m, least_m)", ">= 0", CLEAR),
     Mutation(
         "batch/a floor that moves later",

@@ -303,6 +303,61 @@ def test_a_hull_that_stays_behind_is_warned_of(tmp_path, requests):
         path.write_text(job)
 
 
+def test_the_name_of_a_model_in_place_of_its_bodies_is_told_how_to_write_them(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    link = re.search("<link.*</link>", BOX, re.DOTALL)[0]
+    links = "".join(link.replace('"link"', f'"{name}"') for name in ("hull", "arm"))
+    (tmp_path / "tank.sdf").write_text(
+        f'<sdf version="1.9"><world name="tank">{WALL}<model name="rov">{links}</model></world></sdf>'
+    )
+    plain = read_job(path).plain | {"vary": {}}
+    cure = "must name bodies of the scene (got 'rov'; give 'rov::*', the bodies of this model)"
+    for where, changes in (
+        ("without", {"without": ["rov"]}),
+        ("labels.classes.robot", {"labels": {"classes": {"robot": ["rov"]}}}),
+        ("vary.bodies[0].names", {"vary": {"bodies": [{"names": ["rov"], "x_m": 1.0}]}}),
+    ):
+        with pytest.raises(sg.Error) as why:
+            requests = BatchRequests(Job(**plain | changes))
+            Schema(requests)
+            PingTable(requests)
+        assert str(why.value) == f"{path}: {where} {cure}"
+
+
+def test_parts_that_a_table_leaves_behind_are_warned_of(tmp_path):
+    """The diver's helmet and bubbles stay in the scene when a table names his body alone, as a part of a model."""
+    path = write_job(tmp_path, 4, "")
+    plain = read_job(path).plain | {"scenes": ["pylon", "diver"]}
+
+    def texts(*tables):
+        requests = BatchRequests(Job(**plain | {"vary": {"bodies": list(tables)}}))
+        found = list(requests.model_warnings())
+        assert set(found) <= set(requests.warnings())
+        return found
+
+    diver, away = {"names": ["diver"], "yaw_rad": [-3.0, 3.0]}, {"names": ["floor"], "z_m": -1.0}
+    assert texts(away, diver) == [
+        f"warning: {path}: scenes[1], 'diver': vary.bodies[1] moves 'diver' without diver::weight_left, "
+        'diver::corselet, diver::bubbles (add "diver::*" to its names, or to those of a table that changes nothing)'
+    ]
+    some = {"names": ["diver", "diver::weight*"], "there": 0.5}
+    assert [text.partition(" without ")[2].partition(" (")[0] for text in texts(some)] == [
+        "diver::corselet, diver::bubbles"
+    ]
+    (text,) = texts({"names": ["pylon_round", "diver*"], "one_of": True})
+    assert "scenes[0], 'pylon': vary.bodies[0] moves 'pylon_round' without pylon_round::column (" in text
+    rest = {"names": ["diver::*"]}
+    for silent in (
+        [diver | {"names": ["diver*"]}],
+        [diver, rest],
+        [{"names": ["*"], "x_m": 1.0}],
+        [{"names": ["diver"], "reflectivity": 0.5}],
+        [{"names": ["diver::corselet"], "x_m": 1.0}],
+        [diver, {"names": ["diver"]}, away],
+    ):
+        assert texts(*silent) == []
+
+
 def test_hulls_are_known_of_scenes_that_were_loaded(tmp_path, monkeypatch):
     """To load each of many scenes once more, for this warning alone, doubled the time before the first ping."""
     path, names = write_job(tmp_path), [f"tank_{k}.sdf" for k in range(4)]
@@ -316,7 +371,7 @@ def test_hulls_are_known_of_scenes_that_were_loaded(tmp_path, monkeypatch):
     found = open_batch(path, tmp_path / "out").requests
     assert {Path(what).name for what in loaded} == set(names)
     loaded.clear()
-    assert list(found.hull_warnings()) == [] and loaded == []
+    assert list(found.warnings()) == [] and loaded == []
 
 
 def test_rates_are_checked_block_by_block(requests, monkeypatch):
