@@ -157,11 +157,13 @@ class VaryTable(Table):
 
     Attributes
     ----------
+    hold_pings : consecutive pings of a path that have the draws of the first of them; None for new draws in each ping
     bodies : bodies that move
     water : fields of `Water`
     noise : fields of `Noise`
     """
 
+    hold_pings: Annotated[int, Field(ge=1)] = None
     bodies: list[MovedTable] = Field([])
     water: dict[str, Varied] = Field({})
     noise: dict[str, Varied] = Field({})
@@ -392,9 +394,13 @@ def build(kind: type, table: Mapping, where: str):
 
 
 def check_patterns(patterns: Iterable[str], names: Iterable[str], where: str) -> None:
-    """Raise an Error for a pattern that matches no name."""
+    """Raise an Error for a pattern that matches no name. For that of a model it states the pattern of its bodies."""
     names = set(names)
     for pattern in patterns:
         if not names_of(pattern, names):
-            hint = nearest_of_many(pattern, names)
+            parts = f"{pattern}::*"
+            is_model = names_of(parts, names)
+            hint = (
+                f"give {parts!r}, the bodies of this model" if is_model else nearest_of_many(pattern, names)
+            )
             raise Error(f"{where} must name bodies of the scene (got {pattern!r}; {hint})")

@@ -17,7 +17,7 @@ from sonar_gl.acoustics.water import Water
 from sonar_gl.batch.job import Job, MovedTable, SonarTable, build, check_keys, check_patterns
 from sonar_gl.batch.trajectories import FileTrajectory, RandomViews, Trajectory, build_trajectory
 from sonar_gl.core.checks import check_choice, shown
-from sonar_gl.core.errors import Error, errors_at, nearest_of_many
+from sonar_gl.core.errors import Error, errors_at, nearest_of_many, some_names
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.core.poses import MAX_TIME_S
@@ -159,6 +159,7 @@ class BatchRequests(Sequence):
         self._starts = [run.numbers.start for run in self.runs]
         self._scenes, self._moved_names, self._apart_groups, self._files = {}, {}, {}, {}
         self._vehicles: dict[int, _Vehicle | None] = {}  # of each scene; None without a hull
+        self._left_behind: dict[int, list[str]] = {}  # of each scene, what `model_warnings` yields
         self._places: dict[int, list[str]] = {}  # of each scene, where its first ping has a sonar in a body
         self._check_names_of_bodies()
 
@@ -204,6 +205,7 @@ class BatchRequests(Sequence):
         """Yield what is said of the job before any ping, whatever makes the pings."""
         yield from self.device_warnings()
         yield from self.hull_warnings()
+        yield from self.model_warnings()
         yield from self.place_warnings()
 
     def place_warnings(self) -> Iterator[str]:
@@ -230,6 +232,36 @@ class BatchRequests(Sequence):
         }
         return [f"warning: {name} {place}: {text}" for name, text in texts.items() if text]
 
+    def model_warnings(self) -> Iterator[str]:
+        """Yield a sentence about each model of which `vary.bodies` moves the first body, and leaves others behind."""
+        for index in range(len(self.job.scenes)):
+            if index not in self._left_behind:
+                self.scene(index)
+            yield from self._left_behind[index]
+
+    def _find_left_behind(self, index: int) -> list[str]:
+        """Return the warnings of bodies and plumes that stay where another table moves the body they are named after.
+
+        A table that names them keeps them there on purpose.
+        """
+        moving, named = {}, set()
+        for k, table in enumerate(self.job.vary.bodies):
+            names = self.moved_names(index, k)
+            named.update(names)
+            moving |= dict.fromkeys(names, k if _moves(table) else None)  # the last table counts
+        left = {}
+        for name in self.bodies_and_plumes(index):
+            parts = name.split("::")
+            for whole in ("::".join(parts[:n]) for n in range(1, len(parts)) if name not in named):
+                if moving.get(whole) is not None:
+                    left.setdefault(whole, []).append(name)
+        where = f"warning: {self.job.where}: scenes[{index}], {self.job.scenes[index]!r}"
+        return [
+            f"{where}: vary.bodies[{moving[whole]}] moves {whole!r} without {some_names(names)} "
+            f'(add "{whole}::*" to its names, or to those of a table that changes nothing)'
+            for whole, names in left.items()
+        ]
+
     def hull_warnings(self) -> Iterator[str]:
         """Yield a sentence about each scene in which the sonars leave the hull of their vehicle behind."""
         moved = [pattern for table in self.job.vary.bodies for pattern in table.names]
@@ -250,14 +282,19 @@ class BatchRequests(Sequence):
             raise IndexError(f"a job has pings 0..{len(self) - 1} (got {number})")
         run = self.runs[bisect_right(self._starts, number) - 1]
         time_s, vehicle_pose = run.trajectory[number - run.numbers.start]
-        random = self._random(VARY_STREAM, number)
-        vary = self.job.vary  # the order of the draws below decides the bytes of data sets
+        vary = self.job.vary
+        drawn = number - (number - run.numbers.start) % (
+            vary.hold_pings or 1
+        )  # the ping whose draws this one has
+        random = self._random(
+            VARY_STREAM, drawn
+        )  # the order of the draws below decides the bytes of data sets
         water = {key: _draw(random, value) for key, value in sorted(vary.water.items())}
         noise = {
             key: (_draw_whole if key == WHOLE_NOISE else _draw)(random, value)
             for key, value in sorted(vary.noise.items())
         }
-        bodies, reflectivity = self._draw_bodies(run.scene, number, random) if vary.bodies else ({}, {})
+        bodies, reflectivity = self._draw_bodies(run.scene, drawn, random) if vary.bodies else ({}, {})
         return BatchRequest(
             number,
             run.scene,
@@ -352,6 +389,7 @@ class BatchRequests(Sequence):
         self._scenes[index] = scene
         if index not in self._places:  # now, since many scenes are not loaded again for it
             self._check_rests(index)
+            self._left_behind[index] = self._find_left_behind(index)
             self._places[index] = self._find_places(index)
 
     def _check_names_of_bodies(self) -> None:
@@ -508,6 +546,12 @@ def _clear_draws(
             return draws
         draws = _draw_move(random, table)
     return None
+
+
+def _moves(table: MovedTable) -> bool:
+    """Return whether a table lets bodies be elsewhere, or absent, in some ping."""
+    is_elsewhere = any(np.any(getattr(table, key)) for key in SHIFT_AND_TURN)
+    return bool(is_elsewhere or table.there < 1 or table.one_of or table.rests_on)
 
 
 def _draw_move(random, table: MovedTable) -> np.ndarray:

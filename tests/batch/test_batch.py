@@ -303,6 +303,61 @@ def test_a_hull_that_stays_behind_is_warned_of(tmp_path, requests):
         path.write_text(job)
 
 
+def test_the_name_of_a_model_in_place_of_its_bodies_is_told_how_to_write_them(tmp_path):
+    path = write_job(tmp_path, 2, "")
+    link = re.search("<link.*</link>", BOX, re.DOTALL)[0]
+    links = "".join(link.replace('"link"', f'"{name}"') for name in ("hull", "arm"))
+    (tmp_path / "tank.sdf").write_text(
+        f'<sdf version="1.9"><world name="tank">{WALL}<model name="rov">{links}</model></world></sdf>'
+    )
+    plain = read_job(path).plain | {"vary": {}}
+    cure = "must name bodies of the scene (got 'rov'; give 'rov::*', the bodies of this model)"
+    for where, changes in (
+        ("without", {"without": ["rov"]}),
+        ("labels.classes.robot", {"labels": {"classes": {"robot": ["rov"]}}}),
+        ("vary.bodies[0].names", {"vary": {"bodies": [{"names": ["rov"], "x_m": 1.0}]}}),
+    ):
+        with pytest.raises(sg.Error) as why:
+            requests = BatchRequests(Job(**plain | changes))
+            Schema(requests)
+            PingTable(requests)
+        assert str(why.value) == f"{path}: {where} {cure}"
+
+
+def test_parts_that_a_table_leaves_behind_are_warned_of(tmp_path):
+    """The diver's helmet and bubbles stay in the scene when a table names his body alone, as a part of a model."""
+    path = write_job(tmp_path, 4, "")
+    plain = read_job(path).plain | {"scenes": ["pylon", "diver"]}
+
+    def texts(*tables):
+        requests = BatchRequests(Job(**plain | {"vary": {"bodies": list(tables)}}))
+        found = list(requests.model_warnings())
+        assert set(found) <= set(requests.warnings())
+        return found
+
+    diver, away = {"names": ["diver"], "yaw_rad": [-3.0, 3.0]}, {"names": ["floor"], "z_m": -1.0}
+    assert texts(away, diver) == [
+        f"warning: {path}: scenes[1], 'diver': vary.bodies[1] moves 'diver' without diver::weight_left, "
+        'diver::corselet, diver::bubbles (add "diver::*" to its names, or to those of a table that changes nothing)'
+    ]
+    some = {"names": ["diver", "diver::weight*"], "there": 0.5}
+    assert [text.partition(" without ")[2].partition(" (")[0] for text in texts(some)] == [
+        "diver::corselet, diver::bubbles"
+    ]
+    (text,) = texts({"names": ["pylon_round", "diver*"], "one_of": True})
+    assert "scenes[0], 'pylon': vary.bodies[0] moves 'pylon_round' without pylon_round::column (" in text
+    rest = {"names": ["diver::*"]}
+    for silent in (
+        [diver | {"names": ["diver*"]}],
+        [diver, rest],
+        [{"names": ["*"], "x_m": 1.0}],
+        [{"names": ["diver"], "reflectivity": 0.5}],
+        [{"names": ["diver::corselet"], "x_m": 1.0}],
+        [diver, {"names": ["diver"]}, away],
+    ):
+        assert texts(*silent) == []
+
+
 def test_hulls_are_known_of_scenes_that_were_loaded(tmp_path, monkeypatch):
     """To load each of many scenes once more, for this warning alone, doubled the time before the first ping."""
     path, names = write_job(tmp_path), [f"tank_{k}.sdf" for k in range(4)]
@@ -316,7 +371,7 @@ def test_hulls_are_known_of_scenes_that_were_loaded(tmp_path, monkeypatch):
     found = open_batch(path, tmp_path / "out").requests
     assert {Path(what).name for what in loaded} == set(names)
     loaded.clear()
-    assert list(found.hull_warnings()) == [] and loaded == []
+    assert list(found.warnings()) == [] and loaded == []
 
 
 def test_rates_are_checked_block_by_block(requests, monkeypatch):
@@ -479,6 +534,46 @@ def test_one_of_several_bodies_is_there_at_a_time_each_as_often(tmp_path):
     assert all(np.array_equal(a["floor"], b["floor"]) for a, b in zip(found[:300], floor, strict=True))
     alone, _ = bodies_of(300, {"names": ["box_1"], "one_of": True})
     assert not any(alone)  # it is always there, as it is in the scene
+
+
+def test_what_is_drawn_holds_for_consecutive_pings_of_a_path(tmp_path):
+    """Bodies, water and noise stay for 4 pings, begin anew with each path and scene, and are those of the first one."""
+    path = write_job(tmp_path, 10, "")
+    other = f'<sdf version="1.9"><world name="other">{BOX}</world></sdf>'
+    (tmp_path / "other.sdf").write_text(other)
+    orbit = {"kind": "orbit", "centre_m": [3.0, 0.0, 0.0], "radius_m": 2.0, "z_m": 0.0, "turns": 1}
+    plain = read_job(path).plain
+    plain |= {"scenes": ["tank.sdf", "other.sdf"], "poses": [*plain["poses"], orbit | {"n_pings": 5}]}
+    # places that are drawn again until they are clear hold, too
+    box = {
+        "names": ["box_1"],
+        "x_m": [-0.5, 3.5],
+        "y_m": [-1.0, 1.0],
+        "there": 0.9,
+        "reflectivity": [0.1, 0.9],
+    }
+    wall = {"names": ["wall"], "x_m": [-2.0, 0.0], "clearance_m": 1.0}
+    vary = {"bodies": [wall, box | {"clearance_m": 0.1}], "water": {"temperature_c": [2.0, 20.0]}}
+    vary["noise"] = {"ambient_db": [-90.0, -60.0]}
+
+    def drawn(**hold):
+        requests = BatchRequests(Job(**plain | {"vary": vary | hold}))
+        return requests, [
+            repr((one.bodies, one.reflectivity, one.water, one.noise.ambient_db)) for one in requests
+        ]
+
+    each, held = drawn()[1], drawn(hold_pings=4)
+    requests, found = held
+    starts = [run.numbers.start for run in requests.runs]
+    assert starts == [0, 10, 20, 25] and len(requests) == 30
+    firsts = [0, 4, 8, 10, 14, 18, 20, 24, 25, 29]
+    assert found == [each[max(first for first in firsts if first <= n)] for n in range(30)]
+    assert len(set(found)) == len(firsts)
+    assert [requests[n].vehicle_pose.tolist() for n in range(30)] == [
+        one.vehicle_pose.tolist() for one in drawn()[0]
+    ]
+    assert drawn(hold_pings=1)[1] == each
+    assert drawn(hold_pings=100)[1] == [each[max(s for s in starts if s <= n)] for n in range(30)]
 
 
 def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_path):
