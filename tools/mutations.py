@@ -1276,17 +1276,22 @@ MUTATIONS = (
     ),
     Mutation(
         "noise/phase of cross-faded cells",
-        "(4 * np.pi / shape.wavelength_m * along_m)",
-        "(2 * np.pi / shape.wavelength_m * along_m)",
+        "- 4 * np.pi / shape.wavelength_m * along_m",
+        "- 2 * np.pi / shape.wavelength_m * along_m",
         NOISE,
     ),
     Mutation(
         "noise/phase of waves",
-        "c * ak - s * bk",
-        "c * ak + s * bk",
+        "ik = ik - s * bk",
+        "ik = ik + s * bk",
         NOISE,
     ),
-    Mutation("noise/waves of the second beam", "w = wave - from_other", "w = wave - from_one", NOISE),
+    Mutation(
+        "noise/waves of the second beam",
+        "_weight_of(matrix, other, wave - from_other)",
+        "_weight_of(matrix, other, wave - from_one)",
+        NOISE,
+    ),
     Mutation("noise/window between nodes", "(KAISER / 2) ** n", "(KAISER / 4) ** n", NOISE),
     Mutation(
         "noise/pattern over white nodes", "aperture_field(off / OVERSAMPLING", "aperture_field(off", NOISE
@@ -1389,7 +1394,7 @@ MUTATIONS = (
         "lobes=state",
         ("test_coherent_lobes",),
     ),
-    Mutation("noise/interpolation of beams", "np.sinc(off) * window", "window", NOISE),
+    Mutation("noise/interpolation of beams", "if off != 0.0:", "if False:", NOISE),
     Mutation(
         "scatterers/volume of a bin", "density_m3 * r**2 * size_m", "density_m3 * r * size_m", SCATTERERS
     ),
