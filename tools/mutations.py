@@ -2723,8 +2723,8 @@ MUTATIONS = (
     Mutation("labels/slots one by one", "most_slots, slot = 2 * slot, slot - 1", "slot = slot - 1", AGAIN),
     Mutation(
         "triangles/lobes of the row before",
-        "if with_lobes:\n            lobes[:] = 0.0",
-        "if False:\n            lobes[:] = 0.0",
+        "lobes[j, uint64(left) + i] = zero",
+        "pass",
         ("test_engines::test_views_of_lobes_alone_are_shaded_with_the_whole_view",),
     ),
     Mutation("store/last body of 16 bits", "n_bodies < 65536 else", "n_bodies <= 65536 else", STORE),
