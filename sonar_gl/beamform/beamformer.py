@@ -387,6 +387,8 @@ class Beamformer:
             return [_ImageOfSectors(arrays, slice(len(self.fan.sectors) + 1))]
         out = []
         for number, (_, one) in enumerate(zip(self.fan.sectors, view.sectors, strict=True)):
+            if not one.sector.columns:
+                continue
             arrays = (whole_rows(array) for array in (one.plane_echo, one.face_id, one.body_id))
             spans = view.body_spans if one.body_id.size else NO_SPANS
             table = tuple(sector_table([one.sector], [0]))

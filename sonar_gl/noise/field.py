@@ -242,8 +242,10 @@ class FieldNoise:
 
     def _fill_by_others(self, total: np.ndarray) -> None:
         """Fill a field (B, 2, K) by what speckle does not act on, √C + √V s."""
-        total[:] = 0
-        if self._ping.coherent is not None:  # a circular g takes no notice of its phase: 0 in all bins
+        total[:, 1] = 0
+        if self._ping.coherent is None:
+            total[:, 0] = 0
+        else:  # a circular g takes no notice of its phase: 0 in all bins
             np.sqrt(self._ping.coherent, out=total[:, 0])
         if self._scatterers is not None:
             add_scatterers(

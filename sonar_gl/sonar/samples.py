@@ -48,13 +48,23 @@ class SectorSamples(NamedTuple):
         sector = self.sector
         if not sector.columns:
             return self
-        low, past, bottom, top = _limits_of_echo(whole_rows(self.plane_echo), sector.columns)
-        if low < past:
-            low, bottom = max(low - BESIDE_ECHO, 0), max(bottom - BESIDE_ECHO, 0)
-            past, top = min(past + BESIDE_ECHO, sector.columns), min(top + BESIDE_ECHO, sector.rows)
+        limits = _limits_of_echo(whole_rows(self.plane_echo), sector.columns)
+        low, past, bottom, top = with_neighbours(limits, sector.columns, sector.rows)
         here = slice(bottom, top), slice(low, past)
         arrays = (one[here] if one.size else one for one in self[1:])
         return SectorSamples(sector.within(low, bottom, past - low, top - bottom), *arrays)
+
+
+def with_neighbours(limits: Sequence[int], columns: int, rows: int) -> tuple[int, int, int, int]:
+    """Return the limits of samples with an echo and of those beside them, which bound their footprints.
+
+    limits : first and past the last column, first and past the last row; zeros are returned where there are none
+    """
+    low, past, bottom, top = limits
+    if low >= past:
+        return 0, 0, 0, 0
+    low, bottom = max(low - BESIDE_ECHO, 0), max(bottom - BESIDE_ECHO, 0)
+    return low, min(past + BESIDE_ECHO, columns), bottom, min(top + BESIDE_ECHO, rows)
 
 
 @compiled

@@ -510,13 +510,13 @@ def test_mean_products_of_fields_are_those_of_their_sums_written_out():
     rng = np.random.default_rng(4)
     n_nodes, n_waves, n_weights, n_next = 7, 6, 4, 5
     start, shift = np.array([9, 12, 10, 3, 3, 11, 20]), np.array([5, 3, 4, 8, 4, 6, 9])
-    matrix = rng.normal(size=(n_nodes, 3, n_waves)).astype(np.float32)
+    matrix = rng.normal(size=(n_nodes, 2, n_waves)).astype(np.float32)
     weights = rng.normal(size=(n_nodes, n_weights)).astype(np.float32)
     out = np.ones((n_nodes, n_next))  # which is added to
     add_products(start, matrix, shift, weights, out)
     of_waves, of_bins = np.zeros((n_nodes, 2, 40)), np.zeros((n_nodes, 40))
     for node in range(n_nodes):
-        of_waves[node, :, start[node] : start[node] + n_waves] = matrix[node, :2]
+        of_waves[node, :, start[node] : start[node] + n_waves] = matrix[node]
         of_bins[node, shift[node] : shift[node] + n_weights] = weights[node]
     expected = np.ones((n_nodes, n_next))
     for node in range(n_nodes):

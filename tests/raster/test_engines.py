@@ -428,6 +428,11 @@ def test_two_threads_draw_the_same_samples_as_one(monkeypatch):
     np.testing.assert_array_equal(two[1], one[1])
 
 
+def seen_bodies(samples):
+    """Return the number of the body of each sample; 0, which is not written, where it met nothing."""
+    return np.where(samples.plane_echo[..., 0] > 0, samples.body_id, 0)
+
+
 @pytest.mark.parametrize("is_threaded", [False, True])
 @pytest.mark.parametrize(
     "name", ["diver", *(pytest.param(name, marks=pytest.mark.slow) for name in ("pylon", "ocean_floor"))]
@@ -449,10 +454,13 @@ def test_views_of_lobes_alone_are_shaded_with_the_whole_view(name, is_threaded, 
             drawn.clear()
             with run.drawing():
                 views = renderer.render(poses, states, with_bodies=True)
-            arrays = [
-                [one.plane_echo, one.face_id, np.where(one.plane_echo[..., 0] > 0, one.body_id, 0)]
-                for view in views
+            samples = [
+                one.with_echo() if its_state is lobes else one
+                for view, its_state in zip(views, states, strict=True)
                 for one in view.sectors
+            ]
+            arrays = [
+                (one.plane_echo, one.face_id, seen_bodies(one), one.sector.u, one.sector.v) for one in samples
             ]
             return [[a.copy() for a in one] for one in arrays], len(drawn)
 

@@ -20,6 +20,7 @@ from sonar_gl.raster.cpu.visibility_buffer import (
     Triangles,
     Vertices,
     draw_windows,
+    write_lobes,
 )
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import (
@@ -35,11 +36,12 @@ from sonar_gl.raster.views import (
 )
 from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
-from sonar_gl.sonar.samples import NO_BODIES, NO_FACES, ViewSamples
+from sonar_gl.sonar.samples import NO_BODIES, SectorSamples, ViewSamples, with_neighbours
 
 # About what a face and a sample cost, ns. A ping that costs less is drawn in one thread: handing half of it to the
 # other one takes 10 to 20 us.
 FACE_NS, SAMPLE_NS, FEW_NS = 20, 4, 60_000
+NO_LOBES = np.empty((0, 0), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,7 @@ class _Image:
 
     def __init__(self):
         self._arrays = ReusedArray(np.float32, 4), ReusedArray(np.uint16), ReusedArray(np.int32)
+        self._lobes = ReusedArray(np.float32)
 
     def take(self, width: int, height: int, with_bodies: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return plane_echo, body_id and face_id of `SectorSamples`; body_id of no size if it is not wanted."""
@@ -95,8 +98,12 @@ class _Image:
         numbers = body_id.take(size).reshape(shape) if with_bodies else NO_BODIES
         return plane_echo.take(size).reshape(*shape, 4), numbers, face_id.take(size).reshape(shape)
 
+    def take_lobes(self, width: int, height: int) -> np.ndarray:
+        """Return room for the specular lobes of the samples of a view, (height, width)."""
+        return self._lobes.take(width * height).reshape(height, width)
+
     def drop_large(self) -> None:
-        for one in self._arrays:
+        for one in (*self._arrays, self._lobes):
             one.drop_large()
 
 
@@ -177,6 +184,8 @@ class CpuRenderer:
         self._limits = np.array([NEAR_M, FAR_FACTOR * range_max_m])
         self._sectors = [SectorView(sector, FAR_FACTOR * range_max_m, range_max_m) for sector in fan.sectors]
         self._layout, self._stacked = SectorLayout(self._sectors), stacked(self._sectors)
+        empty = [view.sector.within(0, 0, 0, 0) for view in self._sectors]
+        self._dark = [SectorSamples(one, NO_SAMPLES, NO_BODIES) for one in empty]
 
     def render(
         self,
@@ -216,7 +225,10 @@ class CpuRenderer:
         full: bool,
         half: int | None,
     ) -> list[ViewSamples]:
-        """Draw a view, and into a second image its specular lobes alone, in the memory of one half if that is given."""
+        """Draw a view, and into a second image its specular lobes alone, in the memory of one half if that is given.
+
+        Of the lobes, the samples have the window that `SectorSamples.with_echo` finds.
+        """
         meshes, workspace = self._engine.meshes, self._workspace
         chosen = workspace.halves[half or 0].chosen(len(self._sectors), meshes.most_patches)
         found = meshes.choose_in_sectors(self._stacked, bodies, chosen)
@@ -227,32 +239,34 @@ class CpuRenderer:
         n_faces, n_most = sum(row[1] for row in rows), max(row[1] for row in rows)
         width, height = sum(w.columns for w in windows), max(w.rows for w in windows)
         workspace.check_samples(width, height)
-        samples, *of_lobes = [image.take(width, height, with_bodies) for image in images]
+        samples = images[0].take(width, height, with_bodies)
         if not self._engine.contents.patches:
-            for plane_echo, body_id, face_id in (samples, *of_lobes):
-                plane_echo[:], body_id[:], face_id[:] = 0.0, 0, NOTHING
-            return [self._layout.samples(windows, *one, bodies.spans) for one in (samples, *of_lobes)]
+            plane_echo, body_id, face_id = samples
+            plane_echo[:], body_id[:], face_id[:] = 0.0, 0, NOTHING
+            return [self._layout.samples(windows, *samples, bodies.spans)] * len(images)
         plane = NO_PLANE if bodies.plane is None else bodies.plane
         closed = meshes.boxes.closed
         placed = tuple(
             PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
         )
         work_ns = FACE_NS * n_faces + SAMPLE_NS * width * height * len(images)
-        lobes_alone = (of_lobes[0][0], of_lobes[0][2]) if of_lobes else (NO_SAMPLES, NO_FACES)
+        lobes = images[1].take_lobes(width, height) if len(images) > 1 else NO_LOBES
         most = n_most, max(w.rows * w.columns for w in windows)
-        drawn = placed, bodies.has_lobes, chosen, found, most, samples, lobes_alone
+        drawn = placed, bodies.has_lobes, chosen, found, most, samples, lobes
         if half is not None or self._thread is None or work_ns < FEW_NS:
-            is_met = self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)
+            parts = [self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)]
         else:
-            is_met = np.logical_or(
-                *self._thread.run_halves(
-                    lambda part: self._draw_part(workspace.halves[part], part, 2, *drawn)
-                )
+            parts = self._thread.run_halves(
+                lambda part: self._draw_part(workspace.halves[part], part, 2, *drawn)
             )
-        for _, body_id, _ in of_lobes:
-            body_id[:] = samples[1]
-        is_dark = tuple((~is_met).tolist())
-        return [self._layout.samples(windows, *one, bodies.spans, is_dark) for one in (samples, *of_lobes)]
+        is_met, lit = (np.array(one) for one in zip(*parts, strict=True))
+        is_dark = tuple((~is_met.any(axis=0)).tolist())
+        whole = self._layout.samples(windows, *samples, bodies.spans, is_dark)
+        if len(images) == 1:
+            return [whole]
+        first, past = lit.min(axis=0), lit.max(axis=0)
+        limits = np.stack([first[:, 0], past[:, 1], first[:, 2], past[:, 3]], axis=1)
+        return [whole, _lobes_alone(whole, samples, lobes, limits, images[1], self._dark)]
 
     def _draw_part(
         self,
@@ -265,21 +279,21 @@ class CpuRenderer:
         found: np.ndarray,
         most: tuple[int, int],
         samples,
-        lobes_alone,
-    ) -> np.ndarray:
-        """Draw some columns of each sector's window; return (S,) bool, whether any sample may meet something.
+        lobes: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Draw some columns of each sector's window; return `is_met` and `lit` of `draw_windows`.
 
         Parameters
         ----------
         placed : tuple of PlacedBodies
         chosen, found : of `choose_in_sectors`
         most : faces, and samples, of a sector
-        samples, lobes_alone : as for `shade`
+        samples, lobes : as for `shade`
         """
         contents = self._engine.contents
         vertices, has_normals = tuple(contents.vertices), len(contents.vertices.normals) > 0
         triangles = tuple(half.triangles(most[0], has_normals))
-        is_met = np.empty(len(found), bool)
+        is_met, lit = np.empty(len(found), bool), np.empty((len(found), 4), np.int64)
         draw_windows(
             chosen,
             found,
@@ -292,10 +306,43 @@ class CpuRenderer:
             (*half.buffer(most[1]), triangles),
             (placed[1], has_lobes),
             samples,
-            lobes_alone,
+            lobes,
             is_met,
+            lit,
         )
-        return is_met
+        return is_met, lit
+
+
+def _lobes_alone(
+    whole: ViewSamples, image: tuple, lobes: np.ndarray, limits: np.ndarray, room: _Image, dark: Sequence
+) -> ViewSamples:
+    """Return the samples of specular lobes alone, and of those beside them, which few of a view are.
+
+    Parameters
+    ----------
+    whole : the view with all echoes
+    image, lobes : as for `shade`
+    limits : (S, 4) columns and rows of the lobes of each sector, as for `with_neighbours`
+    room : for the samples
+    dark : SectorSamples of each sector without any samples
+    """
+    lit = np.flatnonzero(limits[:, 0] < limits[:, 1]).tolist()
+    windows = np.zeros((len(lit), 5), np.int64)
+    out, places, width = list(dark), [0] * len(dark), 0
+    for n, s in enumerate(lit):
+        sector = whole.sectors[s].sector
+        low, past, bottom, top = with_neighbours(limits[s].tolist(), sector.columns, sector.rows)
+        out[s] = sector.within(low, bottom, past - low, top - bottom)
+        windows[n] = whole.left[s] + low, width, bottom, past - low, top - bottom
+        places[s], width = width, width + past - low
+    alone = room.take(width, int(windows[:, 4].max(initial=0)), image[1].size > 0)
+    write_lobes(image, lobes, windows, alone)
+    plane_echo, body_id, face_id = alone
+    for s in lit:
+        here = slice(0, out[s].rows), slice(places[s], places[s] + out[s].columns)
+        bodies = body_id[here] if body_id.size else NO_BODIES
+        out[s] = SectorSamples(out[s], plane_echo[here], bodies, face_id[here])
+    return ViewSamples(tuple(out), plane_echo, tuple(places), face_id, body_id, body_spans=whole.body_spans)
 
 
 def _with_lobes(views: Sequence[tuple]) -> list[list[int]]:

@@ -679,24 +679,32 @@ def _is_faint(cos_over_depth, over_depth2, slope):
     return square * (1.0 - 2.0 * FAINTEST * slope * slope) < NEARLY * over_depth2
 
 
-@uncounted
-def _write_lobes(q, triangle, planes, lobe, row, left, image):
-    """Write a row of samples that return their specular lobes alone into an image.
+@compiled
+def write_lobes(image, lobes, windows, lobes_alone):
+    """Write a view in which bodies return their specular lobes alone, from the view in which they return all.
 
-    q, triangle : (W,) row of a VisibilityBuffer
-    planes : of Triangles
-    lobe : (W,) specular lobe times range of each sample that met something
-    row, left : where the row begins in the image
-    image : plane_echo and face_id of `SectorSamples`
+    Parameters
+    ----------
+    image : plane_echo, body_id and face_id of the whole view, as for `shade`; face_id is not read
+    lobes : of `shade`
+    windows : (S, 5) int64, a window of samples of each sector: its first column in the images of the whole view and of
+        the lobes, its first row, its columns and its rows
+    lobes_alone : plane_echo, body_id and face_id of the lobes' image, overwritten in the windows
     """
-    (plane_echo, face_id), zero = image, np.float32(0.0)
-    for i in range(uint64(q.shape[0])):
-        t, at, is_hit, echo = uint64(triangle[i]), uint64(left) + i, q[i] > zero, np.float32(lobe[i])
-        plane_echo[row, at, 0] = q[i] if is_hit else zero
-        plane_echo[row, at, 1] = planes[t, 0] if is_hit else zero
-        plane_echo[row, at, 2] = planes[t, 1] if is_hit else zero
-        plane_echo[row, at, 3] = echo if is_hit else zero
-        face_id[row, at] = SINGLE - np.int64(row) if is_hit and echo > zero else NOTHING
+    (whole, numbers, _), (plane_echo, body_id, face_id) = image, lobes_alone
+    for s in range(uint64(len(windows))):
+        from_left, left, bottom, columns, rows = windows[s]
+        for j in range(uint64(rows)):
+            row = uint64(bottom) + j
+            for i in range(uint64(columns)):
+                at, to = uint64(from_left) + i, uint64(left) + i
+                for k in range(uint64(3)):
+                    plane_echo[j, to, k] = whole[row, at, k]
+                plane_echo[j, to, 3] = lobes[row, at]
+                face_id[j, to] = SINGLE - np.int64(row) if lobes[row, at] > np.float32(0.0) else NOTHING
+            if body_id.shape[0]:
+                for i in range(uint64(columns)):
+                    body_id[j, uint64(left) + i] = numbers[row, uint64(from_left) + i]
 
 
 @inlined
@@ -739,7 +747,7 @@ def _write_bodies(buffer, bodies, left, body_id):
 
 
 @uncounted
-def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone, lobes):
+def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes):
     """Write a visibility buffer into an image of samples, as shaders/gbuffer.frag does.
 
     Parameters
@@ -749,19 +757,25 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
     left : column of the image at which the window begins
     image : plane_echo, body_id and face_id of `SectorSamples`: (H, W, 4) float32, (H, W) uint16 and int32; body_id of
         no length if it is not wanted
-    lobes_alone : plane_echo and face_id of an image of the same view in which bodies return their specular lobes alone;
-        of no length if it is not wanted
-    lobes : (W,) float64, as many as the window has columns; overwritten
+    lobes : (H, W) float32, overwritten with the specular lobe times range of each sample; of no length if they are not
+        wanted
+
+    Returns
+    -------
+    first and past the last column, counted from the window's, and first and past the last row of samples with a lobe;
+    without one, past the last comes before the first
     """
     (body_rows, has_lobes), (plane_echo, body_id, face_id) = bodies_seen, image
     depth, triangle = buffer
     planes, bodies, normal_forms = triangles
     lattice_u, lattice_v = view[5], view[6]
     u0, v0, i0, j0 = lattice_u[0], lattice_v[0], window[0], window[2]
-    zero, with_lobes = np.float32(0.0), lobes_alone[1].shape[0] > 0
+    zero, with_lobes = np.float32(0.0), lobes.shape[0] > 0
+    low, past, bottom, top = depth.shape[1], 0, depth.shape[0], 0
     for j in range(uint64(depth.shape[0])):
         if with_lobes:
-            lobes[:] = 0.0
+            for i in range(uint64(depth.shape[1])):
+                lobes[j, uint64(left) + i] = zero
         for i in range(uint64(depth.shape[1])):
             q, t, at = depth[j, i], uint64(triangle[j, i]), uint64(left) + i
             if q <= zero:
@@ -789,16 +803,17 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes_alone
                 if of_lobe > 0.0:
                     plane_echo[j, at, 3] += of_lobe
                     if with_lobes:
-                        lobes[i] = of_lobe
+                        lobes[j, at] = of_lobe
+                        low, past = min(low, np.int64(i)), max(past, np.int64(i) + 1)
+                        bottom, top = min(bottom, np.int64(j)), np.int64(j) + 1
                     if of_lobe > FAINT_LOBE * plane_echo[j, at, 3]:
                         face_id[j, at] = SINGLE - np.int64(j)
             # what returns nothing is joined whatever its face, as most of a view of lobes alone
             if plane_echo[j, at, 3] == zero:
                 face_id[j, at] = NOTHING
-        if with_lobes:
-            _write_lobes(depth[j], triangle[j], planes, lobes, j, left, lobes_alone)
     if body_id.shape[0]:
         _write_bodies(buffer, bodies, left, body_id)
+    return low, past, bottom, top
 
 
 @compiled
@@ -814,8 +829,9 @@ def draw_windows(
     memory,
     bodies_seen,
     image,
-    lobes_alone,
+    lobes,
     is_met,
+    lit,
 ):
     """Draw some columns of the window of each of S sectors into an image.
 
@@ -828,15 +844,16 @@ def draw_windows(
     views : of each sector, tuple of SectorGeometry, whose parts are stacked
     part : (2,) which of how many parts of the columns
     memory : depth and triangle, flat, of the largest VisibilityBuffer, and tuple of Triangles of the most faces
-    bodies_seen, image, lobes_alone : as for `shade`
+    bodies_seen, image, lobes : as for `shade`
     is_met : (S,) bool, overwritten: whether any sample of the sector may meet something
+    lit : (S, 4) int64, overwritten: what `shade` returns of each sector, columns counted from those of its window
     """
     (depth, triangle, triangles), left, room = memory, 0, _make_room()
-    lobes = np.empty(image[0].shape[1])
     for s in range(found.shape[0]):
         i, j, columns, rows = found[s, 2], found[s, 3], found[s, 4], found[s, 5]
         first, last = part[0] * columns // part[1], (part[0] + 1) * columns // part[1]
         is_met[s] = False
+        lit[s, 0], lit[s, 1], lit[s, 2], lit[s, 3] = columns, 0, rows, 0
         if first < last:
             view = (views[0][s], views[1][s], views[2][s], views[3][s], views[4][s], views[5][s], views[6][s])
             extent = i + first, i + last - 1, j, j + rows - 1
@@ -855,15 +872,9 @@ def draw_windows(
                 room,
             )
             is_met[s] = n > 0
-            shade(
-                buffer,
-                triangles,
-                view,
-                extent,
-                bodies_seen,
-                left + first,
-                image,
-                lobes_alone,
-                lobes[: last - first],
+            low, past, bottom, top = shade(
+                buffer, triangles, view, extent, bodies_seen, left + first, image, lobes
             )
+            if low < past:
+                lit[s, 0], lit[s, 1], lit[s, 2], lit[s, 3] = first + low, first + past, bottom, top
         left += columns
