@@ -134,40 +134,35 @@ class AdaptiveSampling:
         self.history = self.history_with(setup)
         check = self.is_check_due(self.history)
         if check and self.plan is None:
-            return self._search(setup, self.choice.level)
+            return self._search(setup)
         resolution = self.resolution
         self._stages.settle(resolution.stage.fan.n_samples)
         if self.choice.is_due and not check:  # before the check, which would have to make it
             self._model.coarser_stage(resolution.stage)
         return replace(resolution, check=check)
 
-    def review(self, received: ReceivedPing) -> Resolution | None:
-        """Estimate the error of a ping if that is due; return other samples if it is to be sampled again.
+    def review(self, received: ReceivedPing):
+        """Estimate the error of a ping if that is due.
 
-        It is if what came into view is the first echo of all. Otherwise finer or coarser samples are those of the next
-        pings, so that none takes much longer than those before.
+        Finer or coarser samples are those of the next pings, so that none takes much longer than those before: also if
+        this one is the first with an echo, of which the samples before could know nothing.
         """
         drawn, total, choice = received.drawn, received.direct.total, self.choice
         setup, resolution = drawn.setup, drawn.resolution
         if resolution.is_final or not (resolution.check or self.has_changed(total)):
-            return None
-        is_first_echo = choice.last_check.total <= 0 < total
-        if not (resolution.check or is_first_echo or self._can_check(choice.level, self.history.costs)):
+            return
+        if not (resolution.check or self._can_check(choice.level, self.history.costs)):
             self.choice = choice if choice.is_due else replace(choice, is_due=True)
-            return None
+            return
         tried = self._model.tried(resolution.stage, drawn.view, received.direct)
         judged = self._model.judge(setup, choice.level, tried)
-        is_kept = self._is_kept(choice, judged)
-        if is_first_echo and not is_kept:
-            return self._search(setup, choice.level)
         check = LastCheck(setup, total, self.history.n_pings)
         checked = replace(choice, plan=judged.plan, last_check=check, is_due=False)
-        if is_kept:
+        if self._is_kept(choice, judged):
             self.choice = checked
             self._warn_if_unmet(checked.plan)
         else:
             self.choice = self._moved(checked, choice.level + judged.steps)
-        return None
 
     def _is_kept(self, choice: Choice, judged: Judgement) -> bool:
         """Return whether pings keep their level: finer samples are not needed, or do not fit, or half would not do."""
@@ -175,13 +170,9 @@ class AdaptiveSampling:
             return choice.level >= choice.finest
         return choice.level == 0 or judged.steps > -LEVELS_PER_HALF
 
-    def _search(self, setup: PingSetup, first: int) -> Resolution:
-        """Choose the coarsest level that keeps the tolerance in a ping, and return its samples to draw the ping with.
-
-        Also if the level is that of before: the search has drawn other samples over those of the ping, of which image
-        sources may still be in need.
-        """
-        found = self.search.find_coarsest(setup, first)
+    def _search(self, setup: PingSetup) -> Resolution:
+        """Choose the coarsest level that keeps the tolerance in a ping, and return its samples to draw the ping with."""
+        found = self.search.find_coarsest(setup, self.choice.level)
         check = LastCheck(setup, found.total, self.history.n_pings)
         self._warn_if_unmet(found.plan)
         self.choice = Choice(found.plan.level, found.finest, found.plan, check)
