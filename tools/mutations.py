@@ -2044,8 +2044,8 @@ MUTATIONS = (
     ),
     Mutation(
         "costs/check that waits",
-        "if not (resolution.check or is_first_echo or self._can_check(choice.level, self.history.costs)):",
-        "if not (resolution.check or is_first_echo):",
+        "if not (resolution.check or self._can_check(choice.level, self.history.costs)):",
+        "if not resolution.check and False:",
         ("test_adaptive::TestMoving::test_a_change_of_the_echo_is_estimated_at_once_if_that_costs_no_more",),
     ),
     Mutation(
@@ -2684,7 +2684,7 @@ MUTATIONS = (
     ),
     Mutation(
         "sequence/reasons by overwritten samples",
-        "if not run.silent_pings.is_to_explain(received.total):",
+        "if not run.is_to_explain(received):",
         "if True:",
         ("engine/test_sequence::test_pings_without_an_echo_are_explained_as_in_single_calls",),
     ),

@@ -125,6 +125,11 @@ class AdaptiveSampling:
         return self._resolution[1]
 
     @property
+    def is_live(self) -> bool:
+        """Whether the samples of pings follow those of the pings before: unless they were planned."""
+        return not self.choice.is_planned
+
+    @property
     def plan(self) -> Plan | None:
         """The Plan that it follows, None before the first ping."""
         return self.choice.plan

@@ -18,7 +18,7 @@ from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.image_sampling import ImageSampling, MultipathEcho
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import ImageSources
-from sonar_gl.engine.no_echo import SilentPings, why_no_echo
+from sonar_gl.engine.no_echo import ECHO_LOST, SilentPings, why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sampler import FixedSampling
@@ -307,6 +307,14 @@ class Run:
         plan = drawn.resolution.plan
         return self.sampler.error_estimate(drawn.setup) if plan is None else plan.bound
 
+    def is_to_explain(self, received: ReceivedPing) -> bool:
+        """Return whether `report` will say in detail why a ping has no echo, for which it needs the ping's samples."""
+        return self.silent_pings.is_to_explain(received.total, self._is_live(received))
+
+    def _is_live(self, received: ReceivedPing) -> bool:
+        """Return whether a ping follows those before, in small steps."""
+        return self.sampler.is_live and received.drawn.resolution.plan is None
+
     def sample_origin(self) -> SampleOrigin:
         """Return what the `meta` of pings states about the scene and the driver; made again when the scene changes."""
         scene = self.world.scene
@@ -329,7 +337,8 @@ class Run:
         """
         setup = received.drawn.setup
         self._warn_of_body(setup)
-        no_echo, is_to_explain = None, self.silent_pings.is_to_explain(received.total)
+        no_echo = ECHO_LOST if self.silent_pings.has_lost_echo(received.total, self._is_live(received)) else None
+        is_to_explain = self.is_to_explain(received)
         self.silent_pings.add(received.total)
         if is_to_explain:
             instrument, view = self.instrument, received.drawn.view.sectors
