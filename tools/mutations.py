@@ -2032,14 +2032,14 @@ MUTATIONS = (
     ),
     Mutation(
         "costs/finer samples",
-        "MOST_FINER_COST * median(self.history.costs)",
-        "MOST_COST * median(self.history.costs)",
+        "MOST_FINER_COST * _usual(self.history.costs)",
+        "MOST_COST * _usual(self.history.costs)",
         ("test_adaptive::TestMoving::test_samples_get_as_fine_at_once_as_a_ping_may_cost",),
     ),
     Mutation(
         "costs/check",
-        "return CHECK_COST * self._cost(level) <= MOST_COST * median(costs)",
-        "return self._cost(level) <= MOST_COST * median(costs)",
+        "return CHECK_COST * self._cost(level) <= MOST_COST * _usual(costs)",
+        "return self._cost(level) <= MOST_COST * _usual(costs)",
         ("test_adaptive::TestMoving::test_a_check_waits_until_it_costs_no_more_than_a_ping_may",),
     ),
     Mutation(

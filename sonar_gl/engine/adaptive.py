@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import text_beside
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
@@ -23,11 +23,12 @@ from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.replan_trigger import ReplanTrigger
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.sonar.sampling import LEVELS_PER_HALF, WORST_BODY, ToleranceWarning
+from sonar_gl.sonar.sonar import Sonar
 
 CHECK_CHANGE = 0.2  # of the whole echo
-# A ping takes the time of its samples, of one for each bin of each beam, and of FIXED_SAMPLES; with a check of its
-# error CHECK_COST times as long. By the pings of `tools/bench live`.
-FIXED_SAMPLES, CHECK_COST = 45_000, 2.1
+# A ping takes the time of its samples, of one for each bin of each beam (of BARE_BIN without a matched filter), and of
+# FIXED_SAMPLES; with a check of its error CHECK_COST times as long. By the pings of `tools/bench live`.
+FIXED_SAMPLES, BARE_BIN, CHECK_COST = 45_000, 0.15, 2.1
 # No ping may cost more than MOST_COST times the median of the RECENT ones up to it, and the first one with finer
 # samples, which takes new memory, no more than MOST_FINER_COST times.
 MOST_COST, MOST_FINER_COST, RECENT = 2.3, 1.65, 100
@@ -82,7 +83,7 @@ class PingHistory(NamedTuple):
     ----------
     n_pings : how many
     last : PingSetup of the last one; None before the first
-    costs : of the last RECENT of them, in samples; empty where the last one is still to choose its samples, alone
+    costs : of the last RECENT of them that had an echo, in samples; empty where the last one is still to choose its samples, alone
     """
 
     n_pings: int = 0
@@ -112,7 +113,7 @@ class AdaptiveSampling:
         self.tolerance = self._model.tolerance
         self._trigger, self._has_warned = ReplanTrigger(self._sonar, self._model.greatest_backscatter), False
         self.choice, self.history = Choice(self.search.usual, self.search.finest), PingHistory()
-        self._fixed_cost = FIXED_SAMPLES + self._sonar.n_beams * self._sonar.n_bins
+        self._fixed_cost = fixed_cost(self._sonar, stages.acoustics)
         self._resolution = None, None  # the last level, and its Resolution
 
     @property
@@ -189,7 +190,7 @@ class AdaptiveSampling:
         As fine as a ping may cost, also where it may not cost the check for now. The estimate remains that of the last
         check: above the tolerance, if it asked for finer samples.
         """
-        wanted, most = max(0, min(level, choice.finest)), MOST_FINER_COST * median(self.history.costs)
+        wanted, most = max(0, min(level, choice.finest)), MOST_FINER_COST * _usual(self.history.costs)
         finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
         # coarser where none is finer: the next finer level costs less than the check that asked for it
         level = (finer or [wanted])[-1]
@@ -209,7 +210,7 @@ class AdaptiveSampling:
 
     def _can_check(self, level: int, costs: Sequence[float]) -> bool:
         """Return whether a ping of a level, whose cost is the last of these, may cost a check of its error, too."""
-        return CHECK_COST * self._cost(level) <= MOST_COST * median(costs)
+        return CHECK_COST * self._cost(level) <= MOST_COST * _usual(costs)
 
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
@@ -251,8 +252,14 @@ class AdaptiveSampling:
         return PingHistory(before.n_pings + 1, setup, self._costs_with(self.choice.level))
 
     def _costs_with(self, level: int) -> tuple[float, ...]:
-        """Return the costs of the last pings and of one to come, with the samples of a level."""
-        return *self.history.costs[1 - RECENT :], self._cost(level)
+        """Return the costs of the last pings with echo and of one to come, with the samples of a level.
+
+        While there is no echo, a ping takes a small part of the time of one with as many samples on bodies.
+        """
+        costs, checked = self.history.costs, self.choice.last_check
+        if len(costs) > 1 and checked is not None and checked.total <= 0:
+            return costs
+        return *costs[1 - RECENT :], self._cost(level)
 
     def is_check_due(self, history: PingHistory) -> bool:
         """Return whether the error of the last ping of a history is to be estimated."""
@@ -317,6 +324,16 @@ class AdaptiveSampling:
             ToleranceWarning,
         )
         self._has_warned = True
+
+
+def fixed_cost(sonar: Sonar, acoustics: Acoustics) -> float:
+    """Return about what a ping costs beside its samples, in samples."""
+    return FIXED_SAMPLES + (1.0 if acoustics.pulse else BARE_BIN) * sonar.n_beams * sonar.n_bins
+
+
+def _usual(costs: Sequence[float]) -> float:
+    """Return what pings usually cost: a little less than the median, which lags where half of them cost more."""
+    return sorted(costs)[9 * len(costs) // 20]
 
 
 def _view_of(setup: PingSetup) -> int:
