@@ -83,7 +83,8 @@ class PingHistory(NamedTuple):
     ----------
     n_pings : how many
     last : PingSetup of the last one; None before the first
-    costs : of the last RECENT of them that had an echo, in samples; empty where the last one is still to choose its samples, alone
+    costs : of the last RECENT of them with echo, in samples; empty where the last one is still to choose its samples,
+        alone
     """
 
     n_pings: int = 0
@@ -177,7 +178,7 @@ class AdaptiveSampling:
         return choice.level == 0 or judged.steps > -LEVELS_PER_HALF
 
     def _search(self, setup: PingSetup) -> Resolution:
-        """Choose the coarsest level that keeps the tolerance in a ping, and return its samples to draw the ping with."""
+        """Choose the coarsest level that keeps the tolerance in a ping, and return its samples to draw it with."""
         found = self.search.find_coarsest(setup, self.choice.level)
         check = LastCheck(setup, found.total, self.history.n_pings)
         self._warn_if_unmet(found.plan)

@@ -197,8 +197,10 @@ class ErrorModel:
         """
         counts = self._counting_bodies(setup, tried)
         is_compared = counts & (tried.counts.samples < MAX_COMPARED_SAMPLES)
-        if before is None:  # nor what was not met at all: bodies that might be seen tell by themselves
-            before = self._coarser(setup, tried.stage, is_compared) if tried.counts.echo.any() else tried
+        if before is None:
+            is_empty = tried.echo.total <= 0 and not tried.counts.samples.any()
+            # fewer samples tell nothing then: a body that might be seen asks for more whatever they show of it
+            before = tried if is_empty else self._coarser(setup, tried.stage, is_compared)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
         whole = self._whole_error(tried, before, coarser)
         worst = self._worst_body(tried, before, coarser, counts, is_compared)

@@ -337,7 +337,9 @@ class Run:
         """
         setup = received.drawn.setup
         self._warn_of_body(setup)
-        no_echo = ECHO_LOST if self.silent_pings.has_lost_echo(received.total, self._is_live(received)) else None
+        no_echo = (
+            ECHO_LOST if self.silent_pings.has_lost_echo(received.total, self._is_live(received)) else None
+        )
         is_to_explain = self.is_to_explain(received)
         self.silent_pings.add(received.total)
         if is_to_explain:
