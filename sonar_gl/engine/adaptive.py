@@ -183,6 +183,7 @@ class AdaptiveSampling:
         check = LastCheck(setup, found.total, self.history.n_pings)
         self._warn_if_unmet(found.plan)
         self.choice = Choice(found.plan.level, found.finest, found.plan, check)
+        self.history = self.history._replace(costs=(self._cost(found.plan.level),))
         return replace(self.resolution, is_final=True)
 
     def _moved(self, choice: Choice, level: int) -> Choice:
