@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import text_beside
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
@@ -23,12 +23,13 @@ from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.replan_trigger import ReplanTrigger
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.sonar.sampling import LEVELS_PER_HALF, WORST_BODY, ToleranceWarning
+from sonar_gl.sonar.sonar import Sonar
 
 CHECK_CHANGE = 0.2  # of the whole echo
-# A ping takes the time of its samples, of one for each bin of each beam, and of FIXED_SAMPLES; with a check of its
-# error CHECK_COST times as long. By the pings of `tools/bench live`.
-FIXED_SAMPLES, CHECK_COST = 45_000, 2.1
-# No ping may cost more than MOST_COST times the median of the RECENT ones up to it, and the first one with finer
+# A ping takes the time of its samples, of one for each bin of each beam (of BARE_BIN without a matched filter), and of
+# FIXED_SAMPLES; with a check of its error CHECK_COST times as long. By the pings of `tools/bench live`.
+FIXED_SAMPLES, BARE_BIN, CHECK_COST = 45_000, 0.15, 2.1
+# No ping may cost more than MOST_COST times the usual one of the RECENT ones up to it, and the first one with finer
 # samples, which takes new memory, no more than MOST_FINER_COST times.
 MOST_COST, MOST_FINER_COST, RECENT = 2.3, 1.65, 100
 
@@ -82,7 +83,8 @@ class PingHistory(NamedTuple):
     ----------
     n_pings : how many
     last : PingSetup of the last one; None before the first
-    costs : of the last RECENT of them, in samples; empty where the last one is still to choose its samples, alone
+    costs : of the last RECENT of them with echo, in samples; empty where the last one is still to choose its samples,
+        alone
     """
 
     n_pings: int = 0
@@ -112,7 +114,7 @@ class AdaptiveSampling:
         self.tolerance = self._model.tolerance
         self._trigger, self._has_warned = ReplanTrigger(self._sonar, self._model.greatest_backscatter), False
         self.choice, self.history = Choice(self.search.usual, self.search.finest), PingHistory()
-        self._fixed_cost = FIXED_SAMPLES + self._sonar.n_beams * self._sonar.n_bins
+        self._fixed_cost = fixed_cost(self._sonar, stages.acoustics)
         self._resolution = None, None  # the last level, and its Resolution
 
     @property
@@ -125,6 +127,11 @@ class AdaptiveSampling:
         return self._resolution[1]
 
     @property
+    def is_live(self) -> bool:
+        """Whether the samples of pings follow those of the pings before: unless they were planned."""
+        return not self.choice.is_planned
+
+    @property
     def plan(self) -> Plan | None:
         """The Plan that it follows, None before the first ping."""
         return self.choice.plan
@@ -134,40 +141,35 @@ class AdaptiveSampling:
         self.history = self.history_with(setup)
         check = self.is_check_due(self.history)
         if check and self.plan is None:
-            return self._search(setup, self.choice.level)
+            return self._search(setup)
         resolution = self.resolution
         self._stages.settle(resolution.stage.fan.n_samples)
         if self.choice.is_due and not check:  # before the check, which would have to make it
             self._model.coarser_stage(resolution.stage)
         return replace(resolution, check=check)
 
-    def review(self, received: ReceivedPing) -> Resolution | None:
-        """Estimate the error of a ping if that is due; return other samples if it is to be sampled again.
+    def review(self, received: ReceivedPing):
+        """Estimate the error of a ping if that is due.
 
-        It is if what came into view is the first echo of all. Otherwise finer or coarser samples are those of the next
-        pings, so that none takes much longer than those before.
+        Finer or coarser samples are those of the next pings, so that none takes much longer than those before: also if
+        this one is the first with an echo, of which the samples before could know nothing.
         """
         drawn, total, choice = received.drawn, received.direct.total, self.choice
         setup, resolution = drawn.setup, drawn.resolution
         if resolution.is_final or not (resolution.check or self.has_changed(total)):
-            return None
-        is_first_echo = choice.last_check.total <= 0 < total
-        if not (resolution.check or is_first_echo or self._can_check(choice.level, self.history.costs)):
+            return
+        if not (resolution.check or self._can_check(choice.level, self.history.costs)):
             self.choice = choice if choice.is_due else replace(choice, is_due=True)
-            return None
+            return
         tried = self._model.tried(resolution.stage, drawn.view, received.direct)
         judged = self._model.judge(setup, choice.level, tried)
-        is_kept = self._is_kept(choice, judged)
-        if is_first_echo and not is_kept:
-            return self._search(setup, choice.level)
         check = LastCheck(setup, total, self.history.n_pings)
         checked = replace(choice, plan=judged.plan, last_check=check, is_due=False)
-        if is_kept:
+        if self._is_kept(choice, judged):
             self.choice = checked
             self._warn_if_unmet(checked.plan)
         else:
             self.choice = self._moved(checked, choice.level + judged.steps)
-        return None
 
     def _is_kept(self, choice: Choice, judged: Judgement) -> bool:
         """Return whether pings keep their level: finer samples are not needed, or do not fit, or half would not do."""
@@ -175,16 +177,13 @@ class AdaptiveSampling:
             return choice.level >= choice.finest
         return choice.level == 0 or judged.steps > -LEVELS_PER_HALF
 
-    def _search(self, setup: PingSetup, first: int) -> Resolution:
-        """Choose the coarsest level that keeps the tolerance in a ping, and return its samples to draw the ping with.
-
-        Also if the level is that of before: the search has drawn other samples over those of the ping, of which image
-        sources may still be in need.
-        """
-        found = self.search.find_coarsest(setup, first)
+    def _search(self, setup: PingSetup) -> Resolution:
+        """Choose the coarsest level that keeps the tolerance in a ping, and return its samples to draw it with."""
+        found = self.search.find_coarsest(setup, self.choice.level)
         check = LastCheck(setup, found.total, self.history.n_pings)
         self._warn_if_unmet(found.plan)
         self.choice = Choice(found.plan.level, found.finest, found.plan, check)
+        self.history = self.history._replace(costs=(self._cost(found.plan.level),))
         return replace(self.resolution, is_final=True)
 
     def _moved(self, choice: Choice, level: int) -> Choice:
@@ -193,7 +192,7 @@ class AdaptiveSampling:
         As fine as a ping may cost, also where it may not cost the check for now. The estimate remains that of the last
         check: above the tolerance, if it asked for finer samples.
         """
-        wanted, most = max(0, min(level, choice.finest)), MOST_FINER_COST * median(self.history.costs)
+        wanted, most = max(0, min(level, choice.finest)), MOST_FINER_COST * _usual(self.history.costs)
         finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
         # coarser where none is finer: the next finer level costs less than the check that asked for it
         level = (finer or [wanted])[-1]
@@ -213,7 +212,7 @@ class AdaptiveSampling:
 
     def _can_check(self, level: int, costs: Sequence[float]) -> bool:
         """Return whether a ping of a level, whose cost is the last of these, may cost a check of its error, too."""
-        return CHECK_COST * self._cost(level) <= MOST_COST * median(costs)
+        return CHECK_COST * self._cost(level) <= MOST_COST * _usual(costs)
 
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
@@ -255,8 +254,14 @@ class AdaptiveSampling:
         return PingHistory(before.n_pings + 1, setup, self._costs_with(self.choice.level))
 
     def _costs_with(self, level: int) -> tuple[float, ...]:
-        """Return the costs of the last pings and of one to come, with the samples of a level."""
-        return *self.history.costs[1 - RECENT :], self._cost(level)
+        """Return the costs of the last pings with echo and of one to come, with the samples of a level.
+
+        While there is no echo, a ping takes a small part of the time of one with as many samples on bodies.
+        """
+        costs, checked = self.history.costs, self.choice.last_check
+        if len(costs) > 1 and checked is not None and checked.total <= 0:
+            return costs
+        return *costs[1 - RECENT :], self._cost(level)
 
     def is_check_due(self, history: PingHistory) -> bool:
         """Return whether the error of the last ping of a history is to be estimated."""
@@ -321,6 +326,16 @@ class AdaptiveSampling:
             ToleranceWarning,
         )
         self._has_warned = True
+
+
+def fixed_cost(sonar: Sonar, acoustics: Acoustics) -> float:
+    """Return about what a ping costs beside its samples, in samples."""
+    return FIXED_SAMPLES + (1.0 if acoustics.pulse else BARE_BIN) * sonar.n_beams * sonar.n_bins
+
+
+def _usual(costs: Sequence[float]) -> float:
+    """Return what pings usually cost: a little less than the median, which lags where half of them cost more."""
+    return sorted(costs)[9 * len(costs) // 20]
 
 
 def _view_of(setup: PingSetup) -> int:

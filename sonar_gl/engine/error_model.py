@@ -198,7 +198,9 @@ class ErrorModel:
         counts = self._counting_bodies(setup, tried)
         is_compared = counts & (tried.counts.samples < MAX_COMPARED_SAMPLES)
         if before is None:
-            before = self._coarser(setup, tried.stage, is_compared)
+            is_empty = tried.echo.total <= 0 and not tried.counts.samples.any()
+            # fewer samples tell nothing then: a body that might be seen asks for more whatever they show of it
+            before = tried if is_empty else self._coarser(setup, tried.stage, is_compared)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
         whole = self._whole_error(tried, before, coarser)
         worst = self._worst_body(tried, before, coarser, counts, is_compared)

@@ -17,6 +17,7 @@ from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sonar import Sonar
 
 MOST_IN_A_ROW = 5  # warnings of pings without echo
+ECHO_LOST = "no echo came back: what returned one in the ping before has left the fan, or its range"
 WIDEST_WEDGE_DEG = 30.0  # whose planar ends reach beyond the elevations of the fan by 3 % at most
 
 
@@ -27,23 +28,32 @@ class NoEchoWarning(UserWarning):
 class SilentPings:
     """Counts the pings without echo in a row: the first MOST_IN_A_ROW are explained.
 
-    To explain takes many times as long as such a ping, and a vehicle in open water has thousands.
+    To explain takes many times as long as such a ping, and a vehicle in open water has thousands. In a live loop, which
+    it would stall, a row after a ping with echo is not explained: what was seen has just left.
     """
 
     def __init__(self):
-        self._in_a_row = 0
+        self._in_a_row, self._had_echo = 0, False
 
     def start_again(self) -> None:
-        """Have the next ping be the first in a row."""
-        self._in_a_row = 0
+        """Have the next ping be the first in a row, after none with echo."""
+        self._in_a_row, self._had_echo = 0, False
 
-    def is_to_explain(self, total: float) -> bool:
-        """Return whether the next ping, with this sum of its echo, is to be explained."""
-        return total <= 0 and self._in_a_row < MOST_IN_A_ROW
+    def is_to_explain(self, total: float, is_live: bool) -> bool:
+        """Return whether the next ping, with this sum of its echo, is to be explained.
+
+        is_live : it follows the pings before, in small steps
+        """
+        return total <= 0 and self._in_a_row < MOST_IN_A_ROW and not (is_live and self._had_echo)
+
+    def has_lost_echo(self, total: float, is_live: bool) -> bool:
+        """Return whether the next ping, with this sum of its echo, is the first of a row that is not explained."""
+        return total <= 0 and self._in_a_row == 0 and is_live and self._had_echo
 
     def add(self, total: float) -> None:
         """Count a ping, with this sum of its echo."""
         self._in_a_row = self._in_a_row + 1 if total <= 0 else 0
+        self._had_echo = self._had_echo or total > 0
 
 
 def why_no_echo(

@@ -18,7 +18,7 @@ CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture
 
 
 class ReplanTrigger:
-    """Decides when to estimate the error again: sonar or bodies have moved, or bodies changed, since the last check.
+    """Decides when to estimate the error again: since the last check sonar or bodies have moved, or bodies changed.
 
     Parameters
     ----------
@@ -38,39 +38,52 @@ class ReplanTrigger:
         before, after : of the ping that was checked and of the one to come
         n_pings : from the one to the other
         """
+        if _have_come_or_gone(before.state, after.state):
+            return True
         moved, turned, brighter = self._change(before, after)
         if moved <= 0.0 and turned < 1e-6 and brighter == 1.0:
             return False
         return self._is_much(moved, turned, brighter) or n_pings >= CHECK_EVERY
 
     def is_far(self, before: PingSetup, after: PingSetup) -> bool:
-        """Return whether sonar or bodies have changed much between two pings, or bodies came or went."""
+        """Return whether sonar or bodies have changed much between two pings.
+
+        Not if bodies came or went: where the sonar has hardly moved, the samples of before are a good start.
+        """
         return self._is_much(*self._change(before, after))
 
     def _is_much(self, moved: float, turned: float, brighter: float) -> bool:
         return moved > self._far_m or turned > self._far_rad or brighter > CHECK_BRIGHTER
 
-    def _brighter(self, before: SceneState, after: SceneState) -> float:
-        """Return by how many times at most a body returns more, or less, than in another state with the same bodies."""
+    def _brighter(self, before: SceneState, after: SceneState, in_both: np.ndarray) -> float:
+        """Return by how many times at most a body that is present in two states returns more, or less, in the other."""
         if after.reflectivity is before.reflectivity:
             return 1.0
-        own, other = (self._backscatter(state)[after.present] for state in (before, after))
+        own, other = (self._backscatter(state)[in_both] for state in (before, after))
         high, low = np.maximum(own, other), np.minimum(own, other)
         return float(np.where(high > low, high / np.maximum(low, 1e-12), 1.0).max(initial=1.0))
 
     def _change(self, before: PingSetup, after: PingSetup) -> tuple[float, float, float]:
         """Return by how much sonar or bodies move, metres, and turn, radians, and how many times brighter or darker.
 
-        Infinite if bodies came or went.
+        The bodies are those that both pings have.
         """
         moved, turned = _motion_of_one(before.head_pose, after.head_pose)
         old, new = before.state, after.state
-        if new is not old:
-            if len(new.present) != len(old.present) or (new.present != old.present).any():
-                return math.inf, math.inf, math.inf
-            bodies_moved, bodies_turned = _motion(old.poses, new.poses)
-            moved, turned = max(moved, bodies_moved), max(turned, bodies_turned)
-        return moved, turned, self._brighter(old, new)
+        if new is old:
+            return moved, turned, 1.0
+        if n_added := len(new.present) - len(old.present):
+            old = old.with_absent(n_added)
+        in_both = old.present & new.present
+        bodies_moved, bodies_turned = _motion(old.poses[in_both], new.poses[in_both])
+        return max(moved, bodies_moved), max(turned, bodies_turned), self._brighter(old, new, in_both)
+
+
+def _have_come_or_gone(before: SceneState, after: SceneState) -> bool:
+    """Return whether other bodies are present in one state than in another."""
+    if after is before:
+        return False
+    return len(after.present) != len(before.present) or bool((after.present != before.present).any())
 
 
 def _motion(before, after) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from sonar_gl.engine.flow import PingReport, PingSetup, ReceivedPing, Resolution
 from sonar_gl.engine.image_sampling import ImageSampling, MultipathEcho
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.multipath import ImageSources
-from sonar_gl.engine.no_echo import SilentPings, why_no_echo
+from sonar_gl.engine.no_echo import ECHO_LOST, SilentPings, why_no_echo
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.sampler import FixedSampling
@@ -234,15 +234,15 @@ class Run:
             self._idle_workers[:] = [*self._idle_workers, *workers][-len(workers) :]
 
     def review(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> Resolution | None:
-        """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance.
+        """Return the resolution with which to sample a ping's image sources again, or None if it is good.
 
         coarser : the ping with fewer samples of image sources, to compare with; None for none
         """
-        resolution = self.sampler.review(received)
-        if resolution is None and self._review_images(received, coarser):
-            halvings = self.image_sampling.choice.halvings
-            return replace(received.drawn.resolution, halvings=halvings, is_final=True, finer_images=True)
-        return resolution
+        self.sampler.review(received)
+        if not self._review_images(received, coarser):
+            return None
+        halvings = self.image_sampling.choice.halvings
+        return replace(received.drawn.resolution, halvings=halvings, is_final=True, finer_images=True)
 
     def fewer_samples(
         self, error: SampleLimitError, received: ReceivedPing | None, resolution: Resolution
@@ -307,6 +307,14 @@ class Run:
         plan = drawn.resolution.plan
         return self.sampler.error_estimate(drawn.setup) if plan is None else plan.bound
 
+    def is_to_explain(self, received: ReceivedPing) -> bool:
+        """Return whether `report` will say in detail why a ping has no echo, for which it needs the ping's samples."""
+        return self.silent_pings.is_to_explain(received.total, self._is_live(received))
+
+    def _is_live(self, received: ReceivedPing) -> bool:
+        """Return whether a ping follows those before, in small steps."""
+        return self.sampler.is_live and received.drawn.resolution.plan is None
+
     def sample_origin(self) -> SampleOrigin:
         """Return what the `meta` of pings states about the scene and the driver; made again when the scene changes."""
         scene = self.world.scene
@@ -329,7 +337,10 @@ class Run:
         """
         setup = received.drawn.setup
         self._warn_of_body(setup)
-        no_echo, is_to_explain = None, self.silent_pings.is_to_explain(received.total)
+        no_echo = (
+            ECHO_LOST if self.silent_pings.has_lost_echo(received.total, self._is_live(received)) else None
+        )
+        is_to_explain = self.is_to_explain(received)
         self.silent_pings.add(received.total)
         if is_to_explain:
             instrument, view = self.instrument, received.drawn.view.sectors

@@ -22,6 +22,7 @@ class Sampler(Protocol):
     history : all that each ping changes, to be put back where a ping is broken off, or to be made again
     resolution : of the last ping, or of the first to come
     tolerance : that it keeps, or None
+    is_live : the samples of pings follow those of the pings before
     """
 
     search: LevelSearch | None
@@ -29,12 +30,13 @@ class Sampler(Protocol):
     history: object
     resolution: Resolution
     tolerance: float | None
+    is_live: bool
 
     def resolution_for(self, setup: PingSetup) -> Resolution:
         """Add a ping to the history, and return its samples."""
 
-    def review(self, received: ReceivedPing) -> Resolution | None:
-        """Return the samples to draw the ping with once more, or None if it is good."""
+    def review(self, received: ReceivedPing):
+        """Choose the samples of later pings by what a ping has received."""
 
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return fewer samples for a ping whose samples are more than fit, or raise the error again."""
@@ -72,6 +74,7 @@ class FixedSampling:
     """Samples that were given: nothing to choose, nothing promised. A `Sampler`; no ping is `is_apart`."""
 
     search = tolerance = choice = history = None
+    is_live = False
 
     def __init__(self, stages: StageCache, sampling: Sampling):
         self.resolution = Resolution(stages.stage(sampling))
@@ -80,8 +83,8 @@ class FixedSampling:
         """Return the samples."""
         return self.resolution
 
-    def review(self, received: ReceivedPing) -> None:
-        """Return None: there are no others."""
+    def review(self, received: ReceivedPing):
+        """Do nothing: there are no others."""
 
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Raise the error."""

@@ -349,7 +349,7 @@ def _review(
                 return None
             if received.drawn.resolution.plan is not None:
                 upcoming.follow(started.pings[0], received)
-            if not run.silent_pings.is_to_explain(received.total):
+            if not run.is_to_explain(received):
                 return received, run.report(received)
         # drawn again, since the samples that tell why it has no echo may have been overwritten
         with run.drawing():

@@ -15,7 +15,9 @@ from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.beamform.beamformer import BeamEcho, make_beamformer
 from sonar_gl.beamform.received import received_parts
 from sonar_gl.core.errors import SampleLimitError
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine import adaptive, error_model, obstruction, pipeline
+from sonar_gl.engine import run as run_module
 from sonar_gl.engine.body_counts import MIN_BODY_SAMPLES, BodyCounts, body_error, count_bodies
 from sonar_gl.engine.body_extents import (
     BodyExtents,
@@ -29,6 +31,7 @@ from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.instrument import Instrument
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.multipath import COARSEST, ImageSources
+from sonar_gl.engine.no_echo import ECHO_LOST, NoEchoWarning
 from sonar_gl.engine.obstruction import is_unobstructed
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.reception import Reception
@@ -323,7 +326,7 @@ def test_a_body_missed_by_the_first_samples_is_found(tolerance, radius):
 
 def cost_of(n_samples):
     """Return what a ping of SONAR costs, in samples."""
-    return n_samples + adaptive.FIXED_SAMPLES + SONAR.n_beams * SONAR.n_bins
+    return n_samples + adaptive.fixed_cost(SONAR, IDEAL)
 
 
 class TestMoving:
@@ -554,27 +557,54 @@ class TestMoving:
         ids=["ahead", "yaw"],
     )
     def test_a_body_that_comes_into_view_is_estimated_after_any_motion(self, first, second):
-        """The plan of the first ping, which sees nothing, is not used for the second."""
+        """The plan of the first ping, which sees nothing, is checked in the second, and finer samples follow."""
         scene = sg.Scene([ball(x=8.0, radius=0.3)])
         with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.02) as simulator:
             with pytest.warns(UserWarning, match="no echo came back"):
                 simulator.ping(first)
-            ping = simulator.ping(second)
+            pings = [simulator.ping(second) for _ in range(200)]
         truth = sg.reference_ping(scene, SONAR, second, IDEAL, error=0.05)
         assert truth.intensity.any()
-        assert ping.error_estimate > 0 and ping_error(ping, truth) < 0.02
+        assert pings[0].error_estimate > 0 and 0 < pings[-1].error_estimate <= 0.02
+        assert ping_error(pings[-1], truth) < 0.02
 
-    @pytest.mark.parametrize("costs", [(), (1.0,) * 9], ids=["usual", "less before"])
-    def test_the_first_echo_of_all_is_sampled_for_the_tolerance_whatever_that_costs(self, costs):
-        """A check of it was to wait for dearer pings."""
+    def test_the_first_echo_after_none_costs_no_search(self, monkeypatch):
+        """Where side lobes met a wall it took a hundred medians: the next pings have finer samples."""
         with sg.Simulator(sg.Scene([ball(x=8.0, radius=0.3)]), SONAR, IDEAL, tolerance=0.02) as simulator:
             with pytest.warns(UserWarning, match="no echo came back"):
                 simulator.ping(sg.pose(x=-12.6))
-            sampler = simulator.run.sampler
+            sampler, n_drawn, draw = simulator.run.sampler, [], Stage.draw
             before = sampler.choice.level
-            sampler.history = sampler.history._replace(costs=sampler.history.costs + costs)
-            assert 0 < simulator.ping(sg.pose(x=-11.8)).error_estimate <= 0.02
-            assert sampler.choice.level > before and sampler.plan.met
+            monkeypatch.setattr(Stage, "draw", lambda *of, **more: n_drawn.append(1) or draw(*of, **more))
+            assert simulator.ping(sg.pose(x=-11.8)).error_estimate > 0.02
+            assert len(n_drawn) == 2 and sampler.choice.level > before and not sampler.plan.met
+
+    def test_pings_after_one_with_echo_are_not_explained_in_detail(self, monkeypatch):
+        """In a live loop; each took up to a second with a floor of a million triangles."""
+        explained = []
+        monkeypatch.setattr(run_module, "why_no_echo", lambda *_: explained.append(1) or "no echo: far")
+        scene, away = sg.Scene([ball(x=8.0)]), sg.pose(yaw=0.6)
+        with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.1) as simulator:
+            simulator.ping(sg.pose(yaw=0.5))
+            with collected_warnings(NoEchoWarning) as found:
+                for yaw in (0.6, 0.61, 0.62):
+                    simulator.ping(sg.pose(yaw=yaw))
+            assert [one.text for one in found] == [ECHO_LOST] and not explained
+            with pytest.warns(NoEchoWarning, match="far"):
+                simulator.ping(sg.pose(yaw=3.0))  # far from the last one
+            simulator.plan([away])
+            with pytest.warns(NoEchoWarning, match="far"):
+                simulator.ping(away)
+
+    def test_pings_without_echo_do_not_count_among_those_that_cost_as_much(self):
+        """A finer level would soon be checked, by a ping that costs several times those before the pause."""
+        with sg.Simulator(self.scene(), SONAR, IDEAL, tolerance=0.05) as simulator:
+            simulator.ping(np.eye(4))
+            simulator.ping(np.eye(4))
+            sampler = simulator.run.sampler
+            costs, setup = sampler.history.costs, sampler.history.last
+            sampler.choice = replace(sampler.choice, last_check=sampler.choice.last_check._replace(total=0.0))
+            assert sampler.history_with(setup).costs == costs
 
     def test_the_first_echo_of_all_is_drawn_once_where_its_samples_keep_the_tolerance(self, monkeypatch):
         n_drawn, draw, judge = [], Stage.draw, error_model.ErrorModel.judge
@@ -759,7 +789,9 @@ FAR_M = 0.05 * SONAR.range_max_m
         (sg.pose(), sg.pose(), [0.2, 0.41], [1, 1], CHECK_EVERY, False),
         (sg.pose(), sg.pose(), [0.2, 0.39], [1, 1], 1, True),
         (sg.pose(), sg.pose(), [0.41, 0.8], [1, 1], 1, True),
-        (sg.pose(), sg.pose(), [0.2, 0.8], [0, 1], 1, True),
+        (sg.pose(), sg.pose(), [0.2, 0.8], [0, 1], 1, False),
+        (sg.pose(), sg.pose(1.02 * FAR_M), [0.2, 0.8], [1, 0], 1, False),  # of a body that has gone
+        (sg.pose(0, 1.02 * FAR_M), sg.pose(), [0.2, 0.8], [0, 1], 1, True),
     ],
 )
 def test_what_has_the_error_estimated_again(pose, second, mu, present, due_after, is_far):
