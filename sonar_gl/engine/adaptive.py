@@ -20,7 +20,7 @@ from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.error_model import Judgement
 from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
-from sonar_gl.engine.replan_trigger import ReplanTrigger
+from sonar_gl.engine.replan_trigger import ReplanTrigger, have_come_or_gone
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.sonar.sampling import LEVELS_PER_HALF, WORST_BODY, ToleranceWarning
 from sonar_gl.sonar.sonar import Sonar
@@ -32,6 +32,9 @@ FIXED_SAMPLES, BARE_BIN, CHECK_COST = 45_000, 0.15, 2.1
 # No ping may cost more than MOST_COST times the usual one of the RECENT ones up to it, and the first one with finer
 # samples, which takes new memory, no more than MOST_FINER_COST times.
 MOST_COST, MOST_FINER_COST, RECENT = 2.3, 1.65, 100
+# So many pings with echo, each near the one before, are a loop that must not stall. Fewer are those of a program that
+# looks at bodies now and then, or has others in each ping.
+LOOP_PINGS = 10
 
 
 class LastCheck(NamedTuple):
@@ -276,12 +279,18 @@ class AdaptiveSampling:
         return is_due and self._can_check(choice.level, history.costs)
 
     def is_apart(self, setup: PingSetup) -> bool:
-        """Return whether a ping asks to be sampled by itself, or lies far from the last one."""
+        """Return whether a ping asks to be sampled by itself, or has little in common with the last one.
+
+        It lies far from it, or bodies came or went, but for a loop that they would stall.
+        """
         if setup.request.alone:
             return True
         if self.choice.last_check is None:  # as of the first ping, and of planned samples
             return False
-        return self._trigger.is_far(self.history.last, setup)
+        history = self.history
+        if len(history.costs) < LOOP_PINGS and have_come_or_gone(history.last.state, setup.state):
+            return True
+        return self._trigger.is_far(history.last, setup)
 
     def history_with_apart(self, setup: PingSetup) -> PingHistory:
         """Return the history with a ping to come whose samples are being chosen from it alone."""

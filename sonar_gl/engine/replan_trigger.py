@@ -38,7 +38,7 @@ class ReplanTrigger:
         before, after : of the ping that was checked and of the one to come
         n_pings : from the one to the other
         """
-        if _have_come_or_gone(before.state, after.state):
+        if have_come_or_gone(before.state, after.state):
             return True
         moved, turned, brighter = self._change(before, after)
         if moved <= 0.0 and turned < 1e-6 and brighter == 1.0:
@@ -79,7 +79,7 @@ class ReplanTrigger:
         return max(moved, bodies_moved), max(turned, bodies_turned), self._brighter(old, new, in_both)
 
 
-def _have_come_or_gone(before: SceneState, after: SceneState) -> bool:
+def have_come_or_gone(before: SceneState, after: SceneState) -> bool:
     """Return whether other bodies are present in one state than in another."""
     if after is before:
         return False

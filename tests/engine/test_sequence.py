@@ -15,6 +15,7 @@ import sonar_gl as sg
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.core.worker import Job, JobThreads
 from sonar_gl.engine import ping_worker, pipeline, sequence, threads, world
+from sonar_gl.engine.adaptive import LOOP_PINGS
 from sonar_gl.engine.flow import Resolution
 from sonar_gl.engine.no_echo import MOST_IN_A_ROW, NoEchoWarning
 from sonar_gl.engine.request import PingRequest
@@ -282,17 +283,23 @@ def test_a_ping_that_fails_as_it_comes_out_leaves_what_it_leaves_in_single_calls
     check_same(one, other)
 
 
-def test_a_body_that_appears_later_gets_finer_samples():
-    """With a tolerance the samples are those of single pings. The first ping with the body asks for finer ones."""
+@pytest.mark.parametrize(("first", "later"), [(LOOP_PINGS - 2, 0), (LOOP_PINGS + 2, 1)])
+def test_a_body_that_appears_later_gets_finer_samples(first, later):
+    """With a tolerance the samples are those of single pings, and finer from the first ping with the body on.
+
+    In a loop, which must not stall, only from the next ping on.
+    """
     wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(9), 0.3)
     buoy = sg.Body("buoy", trimesh.creation.icosphere(3, 0.06), sg.pose(4, 0.3), 1.0)
-    bodies = [{"buoy": None} if k < 6 else None for k in range(11)]
+    bodies = [{"buoy": None} if k < first else None for k in range(first + 5)]
     with simulator(None, [wall, buoy], tolerance=0.05) as it:
-        alone = [it.ping(POSES[0], bodies=moved).meta["sampling"]["rows"] for moved in bodies]
+        alone = [it.ping(POSES[0], bodies=moved) for moved in bodies]
     with simulator(None, [wall, buoy], tolerance=0.05) as it:
-        together = [ping.meta["sampling"]["rows"] for ping in it.pings([POSES[0]] * 11, bodies=bodies)]
-    assert together == alone
-    assert together[6] == together[5] < together[7]
+        together = list(it.pings([POSES[0]] * len(bodies), bodies=bodies))
+    rows = [ping.meta["sampling"]["rows"] for ping in together]
+    assert rows == [ping.meta["sampling"]["rows"] for ping in alone]
+    assert len(set(rows[: first + later])) == 1 and rows[first + later] > rows[0]
+    assert (together[first].error_estimate > 0.05) == (later > 0)
 
 
 def test_a_change_of_the_echo_causes_a_new_estimate(monkeypatch):
