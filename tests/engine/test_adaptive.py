@@ -342,6 +342,13 @@ class TestMoving:
     def scene(self):
         return sg.Scene([ball(), sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -3.5))])
 
+    @pytest.fixture
+    def simulator(self):
+        """A simulator that has made a ping."""
+        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+            simulator.ping(np.eye(4))
+            yield simulator
+
     def estimates(self, poses, monkeypatch, **settings):
         """Return, for each pose, whether the error was estimated, and the number of rows."""
         out = []
@@ -385,7 +392,7 @@ class TestMoving:
         ],
     )
     def test_a_check_moves_the_level_as_far_as_there_are_samples(
-        self, level, finest, steps, expected, monkeypatch
+        self, simulator, level, finest, steps, expected, monkeypatch
     ):
         """And has the new level checked; at any cost, here. Its stage is made already, and no memory given back yet."""
         judge, make, made, dropped = error_model.ErrorModel.judge, StageCache.make, [], []
@@ -394,50 +401,44 @@ class TestMoving:
             found = judge(*arguments)
             return found._replace(steps=steps, plan=replace(found.plan, met=steps <= 0))
 
-        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
+        sampler = simulator.run.sampler
+        sampler.choice = replace(sampler.choice, level=level, finest=finest, is_due=True)
+        sampler.history = sampler.history._replace(costs=(1e12,) * 9)
+        monkeypatch.setattr(error_model.ErrorModel, "judge", judged)
+        monkeypatch.setattr(StageCache, "make", lambda *of: made.append(of[1]) or make(*of))
+        monkeypatch.setattr(StageCache, "drop_large", lambda _: dropped.append(1))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
             simulator.ping(np.eye(4))
-            sampler = simulator.run.sampler
-            sampler.choice = replace(sampler.choice, level=level, finest=finest, is_due=True)
-            sampler.history = sampler.history._replace(costs=(1e12,) * 9)
-            monkeypatch.setattr(error_model.ErrorModel, "judge", judged)
-            monkeypatch.setattr(StageCache, "make", lambda *of: made.append(of[1]) or make(*of))
-            monkeypatch.setattr(StageCache, "drop_large", lambda _: dropped.append(1))
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always")
-                simulator.ping(np.eye(4))
-            choice = sampler.choice
-            made.clear()
-            with simulator.run.drawing():
-                assert sampler.resolution.stage.sampling == sampling_at(SONAR, choice.level)
+        choice = sampler.choice
+        made.clear()
+        with simulator.run.drawing():
+            assert sampler.resolution.stage.sampling == sampling_at(SONAR, choice.level)
         assert (choice.level, choice.finest, choice.is_due) == expected
         assert not made and not dropped
         assert [one.category for one in caught] == [ToleranceWarning] * (steps > 0 and level == finest)
 
     @pytest.mark.parametrize(("share", "is_due"), [(1.001, True), (0.999, False)])
-    def test_a_check_waits_until_it_costs_no_more_than_a_ping_may(self, share, is_due):
+    def test_a_check_waits_until_it_costs_no_more_than_a_ping_may(self, simulator, share, is_due):
         """It costs 2.1 times a ping without, which may cost 2.3 times the median."""
-        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
-            simulator.ping(np.eye(4))
-            sampler = simulator.run.sampler
-            sampler.choice = replace(sampler.choice, is_due=True)
-            median = share * 2.1 / 2.3 * cost_of(sampler.plan.n_samples)
-            assert sampler.is_check_due(sampler.history._replace(costs=(median,) * 9)) == is_due
+        sampler = simulator.run.sampler
+        sampler.choice = replace(sampler.choice, is_due=True)
+        median = share * 2.1 / 2.3 * cost_of(sampler.plan.n_samples)
+        assert sampler.is_check_due(sampler.history._replace(costs=(median,) * 9)) == is_due
 
     @pytest.mark.parametrize(("median", "is_estimated"), [(1e12, True), (1.0, False)])
     def test_a_change_of_the_echo_is_estimated_at_once_if_that_costs_no_more(
-        self, median, is_estimated, monkeypatch
+        self, simulator, median, is_estimated, monkeypatch
     ):
         """And as soon as it does otherwise."""
-        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
-            simulator.ping(np.eye(4))
-            sampler = simulator.run.sampler
-            checked = sampler.choice.last_check
-            sampler.choice = replace(sampler.choice, last_check=checked._replace(total=2 * checked.total))
-            sampler.history = sampler.history._replace(costs=(median,) * 9)
-            calls = record_estimates(monkeypatch)
-            simulator.ping(np.eye(4))
-            assert bool(calls) == is_estimated
-            assert sampler.choice.is_due == (not is_estimated)
+        sampler = simulator.run.sampler
+        checked = sampler.choice.last_check
+        sampler.choice = replace(sampler.choice, last_check=checked._replace(total=2 * checked.total))
+        sampler.history = sampler.history._replace(costs=(median,) * 9)
+        calls = record_estimates(monkeypatch)
+        simulator.ping(np.eye(4))
+        assert bool(calls) == is_estimated
+        assert sampler.choice.is_due == (not is_estimated)
 
     @pytest.mark.parametrize(("share", "level"), [(1.001, 11), (0.999, 10)])
     def test_samples_get_as_fine_at_once_as_a_ping_may_cost(self, share, level, monkeypatch):
@@ -457,18 +458,16 @@ class TestMoving:
             simulator.ping(np.eye(4))
             assert sampler.choice.level == level and sampler.choice.is_due
 
-    def test_memory_is_given_back_once_many_pings_had_far_fewer_samples(self, monkeypatch):
+    def test_memory_is_given_back_once_many_pings_had_far_fewer_samples(self, simulator, monkeypatch):
         """A sonar that turns to and fro would take it anew each time, which takes longer than its samples."""
         dropped = []
-        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
-            simulator.ping(np.eye(4))
-            sampler = simulator.run.sampler
-            monkeypatch.setattr(StageCache, "drop_large", lambda _: dropped.append(1))
-            for level in (12, 11, 2):  # some fewer are not far fewer
-                sampler.choice = replace(sampler.choice, level=level, is_due=False)
-                for number in range(KEPT_VIEWS):
-                    assert not dropped, number
-                    simulator.ping(np.eye(4))
+        sampler = simulator.run.sampler
+        monkeypatch.setattr(StageCache, "drop_large", lambda _: dropped.append(1))
+        for level in (12, 11, 2):  # some fewer are not far fewer
+            sampler.choice = replace(sampler.choice, level=level, is_due=False)
+            for number in range(KEPT_VIEWS):
+                assert not dropped, number
+                simulator.ping(np.eye(4))
         assert len(dropped) == 1
 
     def test_the_next_pings_follow_one_whose_samples_were_chosen_alone(self, monkeypatch):
@@ -511,26 +510,24 @@ class TestMoving:
             simulator.ping(np.eye(4))
             assert simulator.run.sampler.choice.finest == 9
 
-    def test_samples_that_do_not_fit_have_the_next_coarser_level_checked(self):
+    def test_samples_that_do_not_fit_have_the_next_coarser_level_checked(self, simulator):
         """Down to the coarsest; planned ones stay."""
         error = SampleLimitError("too many")
-        with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
-            simulator.ping(np.eye(4))
-            sampler = simulator.run.sampler
-            sampler.choice = replace(sampler.choice, level=1)
-            with simulator.run.drawing():
-                resolution = sampler.fewer_samples(error)
-            assert resolution.check and resolution.stage.sampling == sampling_at(SONAR, 0)
-            assert (sampler.choice.level, sampler.choice.finest, sampler.choice.is_due) == (0, 0, True)
-            with pytest.raises(SampleLimitError):
-                sampler.fewer_samples(error)
-            plan = simulator.plan([np.eye(4)])
-            before, history = sampler.choice, sampler.history
-            assert before.is_planned and plan.level > 0 and before.finest == FINEST_LEVEL
-            with pytest.raises(SampleLimitError):
-                sampler.fewer_samples(error)
-            simulator.ping(sg.pose(5, yaw=2.0))  # far, and not in the history
-            assert sampler.choice is before and sampler.history is history
+        sampler = simulator.run.sampler
+        sampler.choice = replace(sampler.choice, level=1)
+        with simulator.run.drawing():
+            resolution = sampler.fewer_samples(error)
+        assert resolution.check and resolution.stage.sampling == sampling_at(SONAR, 0)
+        assert (sampler.choice.level, sampler.choice.finest, sampler.choice.is_due) == (0, 0, True)
+        with pytest.raises(SampleLimitError):
+            sampler.fewer_samples(error)
+        plan = simulator.plan([np.eye(4)])
+        before, history = sampler.choice, sampler.history
+        assert before.is_planned and plan.level > 0 and before.finest == FINEST_LEVEL
+        with pytest.raises(SampleLimitError):
+            sampler.fewer_samples(error)
+        simulator.ping(sg.pose(5, yaw=2.0))  # far, and not in the history
+        assert sampler.choice is before and sampler.history is history
 
     def test_an_interrupted_choice_is_made_anew(self, monkeypatch):
         with sg.Simulator(self.scene(), SONAR, IDEAL) as simulator:
