@@ -180,10 +180,10 @@ def shared():
         return [*pings, first.ping(POSE, labels=True), second.ping(upright)]
 
 
-def seen(sonar=SONAR, scene="yard", sampling=FIXED):
+def seen(sonar=SONAR, scene="yard"):
     """The G-buffers, and a grid of rays."""
     scene = scene_of(scene)
-    with sg.Simulator(scene, sonar, None, sampling) as simulator:
+    with sg.Simulator(scene, sonar, None, FIXED) as simulator:
         buffers = simulator.gbuffers(scene.sonar_pose)
         return {"gbuffers": buffers, "cloud": simulator.point_cloud(scene.sonar_pose, 160, 40)}
 
@@ -314,10 +314,10 @@ def joined(scene="yard", **how):
         return [simulator.ping(scene.sonar_pose, **how), *simulator.pings(path, **how)]
 
 
-def sectors(sonar=SONAR, scene="yard", sampling=FIXED, tolerance=0.05, **how):
+def sectors(sonar=SONAR, scene="yard", sampling=FIXED, **how):
     """A host draws the sectors of a fan."""
     scene = scene_of(scene)
-    with Host(scene) as host, sg.embed.Sensor(sonar, None, sampling, tolerance) as sensor:
+    with Host(scene) as host, sg.embed.Sensor(sonar, None, sampling, 0.05) as sensor:
         host.load("#version 330 core\n" + sg.embed.glsl() + DRAWS_ECHO)
         for sector in sensor.sectors(scene.sonar_pose):
             with sector:

@@ -343,7 +343,7 @@ class Beamformer:
             shares = self._wide_shares, columns.all_sums, columns.all_spans
             share_wide_columns(part, self.fan.wide_edges, *shares)
 
-    def sum_view(self, view: ViewSamples, gain=NO_GAIN) -> BeamEcho:
+    def sum_view(self, view: ViewSamples, gain: np.ndarray) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
         return self._with_bubbles(self.weigh(self._sum_surfaces(view), gain), view, gain)
 
@@ -416,7 +416,7 @@ class Beamformer:
         images: Sequence[ImageSourceView],
         own: Sequence[ImageSourceView],
         of_images: Beamformer,
-        gain=NO_GAIN,
+        gain: np.ndarray,
     ) -> BeamEcho:
         """Return the multipath echoes of several views, added up.
 

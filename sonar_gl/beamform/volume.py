@@ -24,7 +24,7 @@ def sum_volume(
     samples: Sequence[SectorSamples],
     gain: np.ndarray,
     strength_db: float,
-    surface: WaterSurface | None = None,
+    surface: WaterSurface | None,
 ) -> BeamEcho:
     """Return the echo of the water in beams and bins, mean of its speckle.
 

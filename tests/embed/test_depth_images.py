@@ -48,15 +48,20 @@ def camera_of(sonar, columns=480):
     return sg.Camera.of_fov(columns, rows, fov_x_rad=fov)
 
 
+SONAR = sonar_of()
+CAMERA = camera_of(SONAR)
+SHAPE = CAMERA.height, CAMERA.width
+
+
+def ping_of(depth, camera=CAMERA, **more):
+    """Return a ping of SONAR by ideal acoustics."""
+    return sg.ping_from_depth(depth, SONAR, camera, IDEAL, **more)
+
+
 def wrong(ping, truth):
     """Return the share of the echo that lies in wrong bins."""
     e, t = (np.asarray(getattr(p, "intensity", p), np.float64) for p in (ping, truth))
     return np.abs(e - t).sum() / t.sum()
-
-
-def images(cast, cameras):
-    """Return lists of slant ranges, planar depths, normals and bodies, one entry per camera."""
-    return [list(some) for some in zip(*(cast.images(camera) for camera in cameras), strict=True)]
 
 
 def block(low, high):
@@ -75,14 +80,14 @@ ROOM = {
 ROOM_CAST = Cast(*(box(low, high) for low, high in ROOM.values()))
 
 
-def room(reflectivity=0.5):
-    return sg.Scene([sg.Body(name, block(*ends), reflectivity=reflectivity) for name, ends in ROOM.items()])
+def room():
+    return sg.Scene([sg.Body(name, block(*ends), reflectivity=0.5) for name, ends in ROOM.items()])
 
 
 @pytest.fixture(scope="module")
 def truth():
     """Return a fine ping of the room, with labels."""
-    with sg.Simulator(room(), sonar_of(), IDEAL, tolerance=0.002) as simulator:
+    with sg.Simulator(room(), SONAR, IDEAL, tolerance=0.002) as simulator:
         return simulator.ping(np.eye(4), labels=True)
 
 
@@ -130,11 +135,10 @@ def sector_camera(sector):
 def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoustics, monkeypatch):
     # no host tells where its bodies are, beyond which they have no labels
     monkeypatch.setattr(scene_meshes, "body_spans", lambda *_: NO_SPANS)
-    sonar, sampling, pose = sonar_of(), sg.Sampling(3, 100), sg.pose(0.3, 0.1, 0.2, 0.05, 0.1, 0.1)
-    scene = room()
+    sampling, pose = sg.Sampling(3, 100), sg.pose(0.3, 0.1, 0.2, 0.05, 0.1, 0.1)
     mus = {n: 0.2 * n for n in range(1, 5)}
-    scene = sg.Scene([sg.Body(b.name, b.mesh, reflectivity=mus[n]) for n, b in enumerate(scene.bodies, 1)])
-    with sg.Simulator(scene, sonar, acoustics, sampling) as simulator:
+    scene = sg.Scene([sg.Body(b.name, b.mesh, reflectivity=mus[n]) for n, b in enumerate(room().bodies, 1)])
+    with sg.Simulator(scene, SONAR, acoustics, sampling) as simulator:
         expected, (buffer,) = simulator.ping(pose, labels=True), simulator.gbuffers(pose)
         camera = sector_camera(simulator.fan.sectors[0])
     images = {
@@ -142,7 +146,7 @@ def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoust
         "body_id": buffer.body_id[::-1],
         "holds": "range",
     }
-    with embed.Sensor(sonar, acoustics, sampling) as sensor:
+    with embed.Sensor(SONAR, acoustics, sampling) as sensor:
         ping = sensor.ping_from_depth(
             buffer.range_m[::-1], camera, pose, reflectivity=mus, labels=True, bodies=list(ROOM), **images
         )
@@ -161,11 +165,11 @@ def test_a_camera_with_the_samples_of_a_sector_gives_the_simulator_s_ping(acoust
 @pytest.mark.slow
 @pytest.mark.parametrize("with_normals", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_error_falls_with_the_resolution(truth, with_normals):
-    sonar, errors = sonar_of(), []
+    errors = []
     for columns in (120, 240, 480, 960):
-        camera = camera_of(sonar, columns)
+        camera = camera_of(SONAR, columns)
         _, depth, normals, _ = ROOM_CAST.images(camera)
-        ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=normals if with_normals else None)
+        ping = ping_of(depth, camera, normals=normals if with_normals else None)
         errors.append(wrong(ping, truth))
     # silhouettes fall on whole pixels, so the error falls with their width, from a third of a degree on
     assert errors[0] > errors[1] > errors[2] > errors[3]
@@ -195,10 +199,9 @@ def test_a_floor_at_grazing_incidence_has_no_rings(height):
     "turn", ["roll 90", pytest.param("aside 20", marks=pytest.mark.slow), "down 5, roll -30"]
 )
 def test_a_rotated_camera_gives_the_same_ping(truth, turn):
-    sonar = sonar_of()
     quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
     if turn == "roll 90":
-        like = camera_of(sonar, 640)
+        like = camera_of(SONAR, 640)
         K = [[like.intrinsics[0, 0], 0, (like.height - 1) / 2], [0, like.intrinsics[0, 0], 319.5], [0, 0, 1]]
         camera = sg.Camera(like.height, 640, K, AHEAD @ quarter)
     elif turn == "aside 20":
@@ -212,9 +215,7 @@ def test_a_rotated_camera_gives_the_same_ping(truth, turn):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # no warning: the cameras cover the fan
         for face_normals in (normals, None):
-            ping = sg.ping_from_depth(
-                depth, sonar, camera, IDEAL, normals=face_normals, body_id=body, labels=True
-            )
+            ping = ping_of(depth, camera, normals=face_normals, body_id=body, labels=True)
             assert wrong(ping, truth) < 0.02  # the error of an upright camera with such pixels
             # the strongest body differs only in bins that two bodies share
             assert (ping.body_id != truth.body_id).mean() < 0.01
@@ -265,10 +266,9 @@ def inward(camera):
 
 
 def test_body_numbers_of_pixels_become_labels(truth):
-    sonar = sonar_of()
-    camera = camera_of(sonar, 960)
+    camera = camera_of(SONAR, 960)
     _, depth, normals, body = ROOM_CAST.images(camera)
-    with embed.Sensor(sonar, IDEAL) as sensor:
+    with embed.Sensor(SONAR, IDEAL) as sensor:
         ping = sensor.ping_from_depth(
             depth, camera, normals=normals, body_id=body.astype(np.int32), bodies=tuple(ROOM), labels=True
         )
@@ -293,14 +293,12 @@ def test_body_numbers_of_pixels_become_labels(truth):
 
 
 def test_reflectivity_by_pixel_and_by_body():
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    _, depth, normals, body = ROOM_CAST.images(camera)
+    _, depth, normals, body = ROOM_CAST.images(CAMERA)
     mus = np.array([0.5, 0.1, 0.9, 0.5, 0.5])
-    with embed.Sensor(sonar, IDEAL) as sensor:
+    with embed.Sensor(SONAR, IDEAL) as sensor:
 
         def ping(mu, **more):
-            return sensor.ping_from_depth(depth, camera, normals=normals, reflectivity=mu, **more)
+            return sensor.ping_from_depth(depth, CAMERA, normals=normals, reflectivity=mu, **more)
 
         by_pixel = ping(mus[body], body_id=body)
         by_body = ping({1: 0.1, 2: 0.9, 77: 1.0}, body_id=body, labels=True)
@@ -312,18 +310,16 @@ def test_reflectivity_by_pixel_and_by_body():
 
 @pytest.mark.parametrize("missing", [0.0, -1.0, np.nan, np.inf, -np.inf, 1e9])
 def test_pixels_without_depth_are_empty(missing):
-    sonar = sonar_of()
-    camera = camera_of(sonar)
     shapes = box([9, 1, -2], [11, 3, 1]), sphere([12, -3, 0], 1.0), plane([0, 0, -1], 0.6)
-    _, depth, normals, _ = Cast(*shapes).images(camera)
+    _, depth, normals, _ = Cast(*shapes).images(CAMERA)
     holes = ~np.isfinite(depth) | (depth > 160)
     assert 0.3 < holes.mean() < 0.7
     pings = []
     for face_normals in (normals, None):
-        with embed.Sensor(sonar, IDEAL) as sensor:
-            with_inf = sensor.ping_from_depth(np.where(holes, np.inf, depth), camera, normals=face_normals)
+        with embed.Sensor(SONAR, IDEAL) as sensor:
+            with_inf = sensor.ping_from_depth(np.where(holes, np.inf, depth), CAMERA, normals=face_normals)
             pings.append(
-                sensor.ping_from_depth(np.where(holes, missing, depth), camera, normals=face_normals)
+                sensor.ping_from_depth(np.where(holes, missing, depth), CAMERA, normals=face_normals)
             )
         # Pixels of a far plane are empty, too, and do not bend the estimated planes of pixels before it.
         assert (pings[-1].intensity == with_inf.intensity).all()
@@ -358,27 +354,25 @@ def test_a_thin_rod_has_the_echo_of_its_closed_form(columns):
 
 
 def test_surfaces_one_pixel_wide_are_taken_to_face_the_camera():
-    sonar = sonar_of()
-    camera = camera_of(sonar, 200)
+    camera = camera_of(SONAR, 200)
     depth = np.full((camera.height, 200), 15.0)
     depth[:, 60] = depth[20, 120:160] = 8.0
     facing = np.broadcast_to([0, 0, 1.0], (*depth.shape, 3))
-    known, found = (sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=n) for n in (facing, None))
-    near = sonar.range_m < 14
+    known, found = (ping_of(depth, camera, normals=n) for n in (facing, None))
+    near = SONAR.range_m < 14
     assert known.intensity[:, near].sum() > 0
     # the vertical and the horizontal line agree, except at their ends
     assert wrong(found.intensity[:, near], known.intensity[:, near]) < 1e-3
 
 
 def test_a_sphere_and_its_limb():
-    sonar = sonar_of()
-    camera = camera_of(sonar, 960)
+    camera = camera_of(SONAR, 960)
     _, depth, normals, _ = Cast(sphere([8, 0.5, 0.0], 1.0)).images(camera)
     body = sg.Body("ball", trimesh.creation.icosphere(6, 1.0), sg.pose(8, 0.5, 0))
-    with sg.Simulator(sg.Scene([body]), sonar, IDEAL, tolerance=0.002) as simulator:
+    with sg.Simulator(sg.Scene([body]), SONAR, IDEAL, tolerance=0.002) as simulator:
         exact = simulator.ping(np.eye(4))
     for face_normals in (normals, None):
-        ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=face_normals)
+        ping = ping_of(depth, camera, normals=face_normals)
         assert wrong(ping, exact) < 0.005
 
 
@@ -398,40 +392,34 @@ def test_normals_may_have_any_length():
 
 
 def test_edge_on_faces_and_invalid_normals_stay_finite():
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    _, depth, normals, _ = ROOM_CAST.images(camera)
-    found = sg.ping_from_depth(depth, sonar, camera, IDEAL)
+    _, depth, normals, _ = ROOM_CAST.images(CAMERA)
+    found = ping_of(depth)
     for none in (0.0, np.nan, np.inf):
-        assert (
-            sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=0 * normals + none).intensity
-            == found.intensity
-        ).all()
-    other = sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=-3.0 * normals)
+        assert (ping_of(depth, normals=0 * normals + none).intensity == found.intensity).all()
+    other = ping_of(depth, normals=-3.0 * normals)
     assert np.allclose(
         other.intensity,
-        sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=normals).intensity,
+        ping_of(depth, normals=normals).intensity,
         rtol=1e-4,
         atol=1e-7,
     )
-    rays = rays_of(camera) @ camera.rotation
+    rays = rays_of(CAMERA) @ CAMERA.rotation
     across = np.cross(rays, [0.0, 1.0, 0.0])
     for tilt in (0.0, 1e-9, 1e-4):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, normals=across + tilt * rays)
+            ping = ping_of(depth, normals=across + tilt * rays)
         assert np.isfinite(ping.intensity).all() and (ping.intensity >= 0).all()
         assert ping.intensity.sum() < 1e-3 * found.intensity.sum()
     rng = np.random.default_rng(1)  # random depths, which form no surface
     noise = np.exp(rng.normal(1, 3, depth.shape))
-    assert np.isfinite(sg.ping_from_depth(noise, sonar, camera, IDEAL).intensity).all()
+    assert np.isfinite(ping_of(noise).intensity).all()
 
 
 def test_samples_are_finite_and_empty_ones_are_zero():
     """Samples of planes through the sonar, and of rays past a floor's horizon, are finite."""
-    sonar = sonar_of()
-    (sector,) = make_fan(sonar, sg.Sampling(4, 200), BeamShape(0.004)).sectors
-    camera, thread = camera_of(sonar, 64), SecondThread()
+    (sector,) = make_fan(SONAR, sg.Sampling(4, 200), BeamShape(0.004)).sectors
+    camera, thread = camera_of(SONAR, 64), SecondThread()
     planes, none = PixelPlanes(camera, thread), np.empty((0, 0), np.uint16)
     shape = sector.rows, sector.columns
     _, depth, normals, _ = Cast(plane([0, 0, -1], 0.1)).images(camera)
@@ -454,37 +442,31 @@ def test_samples_are_finite_and_empty_ones_are_zero():
 
 
 def test_memory_layout_and_type_of_images_do_not_matter():
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    _, depth, normals, body = ROOM_CAST.images(camera)
+    _, depth, normals, body = ROOM_CAST.images(CAMERA)
     kwargs = {"normals": normals, "body_id": body, "labels": True}
-    one = sg.ping_from_depth(depth, sonar, camera, IDEAL, **kwargs)
+    one = ping_of(depth, **kwargs)
     turned = {
         "normals": normals.astype("f4")[:, ::-1][:, ::-1],
         "body_id": np.asfortranarray(body, np.uint16),
     }
-    other = sg.ping_from_depth(
-        np.asfortranarray(depth, np.float32), sonar, camera, IDEAL, labels=True, **turned
-    )
+    other = ping_of(np.asfortranarray(depth, np.float32), labels=True, **turned)
     assert (one.intensity == other.intensity).all() and (one.body_id == other.body_id).all()
     listed = sg.ping_from_depth(
-        [depth], sonar, [camera], IDEAL, normals=[normals], body_id=[body], labels=True
+        [depth], SONAR, [CAMERA], IDEAL, normals=[normals], body_id=[body], labels=True
     )
     assert (one.intensity == listed.intensity).all()
     before = one.intensity.copy()
-    sg.ping_from_depth(depth / 2, sonar, camera, IDEAL)
+    ping_of(depth / 2)
     assert (one.intensity == before).all() and not one.intensity.flags.writeable
 
 
 def test_noise_velocity_and_pose_act_as_in_other_pings():
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    _, depth, _, _ = ROOM_CAST.images(camera)
+    _, depth, _, _ = ROOM_CAST.images(CAMERA)
     noise, pose, velocity = sg.Noise.physical(), sg.pose(1, 2, 3), [1.0, 0, 0, 0, 0, 0.3]
-    with embed.Sensor(sonar) as sensor:
+    with embed.Sensor(SONAR) as sensor:
 
         def ping(**more):
-            return sensor.ping_from_depth(depth, camera, pose, **more)
+            return sensor.ping_from_depth(depth, CAMERA, pose, **more)
 
         quiet = ping(seed=7)
         noisy = ping(noise=noise, seed=7, ping_number=3)
@@ -498,21 +480,20 @@ def test_noise_velocity_and_pose_act_as_in_other_pings():
         assert (moving.intensity != quiet.intensity).any() and moving.meta["velocity"] == velocity
         # place-locked speckle depends on the pose
         locked = sg.Noise(speckle=True, follow_motion=True)
-        there = sensor.ping_from_depth(depth, camera, sg.pose(2, 2, 3), noise=locked, seed=7)
+        there = sensor.ping_from_depth(depth, CAMERA, sg.pose(2, 2, 3), noise=locked, seed=7)
         assert (ping(noise=locked, seed=7).intensity != there.intensity).any()
-        assert (sensor.ping_from_depth(depth, camera).pose == np.eye(4)).all()
+        assert (sensor.ping_from_depth(depth, CAMERA).pose == np.eye(4)).all()
         # and without one each ping has its own
         numbered = [
-            sensor.ping_from_depth(depth, camera, noise=locked, ping_number=n).intensity for n in (0, 1)
+            sensor.ping_from_depth(depth, CAMERA, noise=locked, ping_number=n).intensity for n in (0, 1)
         ]
         assert (numbered[0] != numbered[1]).any()
 
 
 def test_a_warning_names_what_the_cameras_do_not_see_once():
-    sonar = sonar_of()
     narrow = sg.Camera.of_fov(300, 300, math.radians(20))
     depth = np.full((300, 300), 5.0)
-    with embed.Sensor(sonar, IDEAL) as sensor:
+    with embed.Sensor(SONAR, IDEAL) as sensor:
         with pytest.warns(
             UserWarning, match=r"see (49|50)\.\d % of the sonar's fan.*±20° and elevations within ±8°"
         ) as caught:
@@ -523,13 +504,13 @@ def test_a_warning_names_what_the_cameras_do_not_see_once():
             warnings.simplefilter("error")
             ping = sensor.ping_from_depth(depth, again)
             assert (ping.intensity[:18] == 0).all() and (ping.intensity[22:58].sum(1) > 0).all()
-            cameras = sg.Camera.covering(sonar, IDEAL)
+            cameras = sg.Camera.covering(SONAR, IDEAL)
             sensor.ping_from_depth([np.full((c.height, c.width), 5.0) for c in cameras], cameras)
         backwards = sg.Camera(300, 300, narrow.intrinsics, np.diag([-1.0, -1, 1]) @ AHEAD)
         with pytest.raises(sg.Error, match="must look into the sonar's fan"):
             sensor.ping_from_depth(depth, backwards)
     with pytest.warns(UserWarning, match="% of the sonar's fan") as caught:
-        sg.ping_from_depth(depth, sonar, narrow, IDEAL, sampling=sg.Sampling(1, 20))
+        ping_of(depth, narrow, sampling=sg.Sampling(1, 20))
     assert caught[0].filename == __file__
 
 
@@ -537,7 +518,7 @@ def test_half_a_per_cent_of_the_fan_that_no_camera_sees_is_warned_of():
     """39.8 of 40 degrees."""
     camera, depth = sg.Camera.of_fov(30, 30, math.radians(39.8)), np.full((30, 30), 5.0)
     with pytest.warns(UserWarning, match=r"^the cameras see 99\.[456] % of the sonar's fan, and the rest"):
-        sg.ping_from_depth(depth, sonar_of(), camera, IDEAL, sampling=sg.Sampling(1, 20))
+        ping_of(depth, camera, sampling=sg.Sampling(1, 20))
 
 
 @pytest.mark.parametrize(
@@ -550,7 +531,7 @@ def test_half_a_per_cent_of_the_fan_that_no_camera_sees_is_warned_of():
     ],
 )
 def test_a_warning_says_why_a_ping_has_no_echo(distance, more, why):
-    sonar = replace(sonar_of(), range_min_m=1.0)
+    sonar = replace(SONAR, range_min_m=1.0)
     camera = camera_of(sonar, 400)
     with pytest.warns(UserWarning, match=f"^no echo came back: .*{why}") as caught:
         ping = sg.ping_from_depth(np.full((camera.height, 400), distance), sonar, camera, IDEAL, **more)
@@ -559,19 +540,17 @@ def test_a_warning_says_why_a_ping_has_no_echo(distance, more, why):
 
 
 def test_later_pings_reuse_the_beamformer_of_the_first(monkeypatch):
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    depth = np.full((camera.height, camera.width), 5.0)
-    first = sg.ping_from_depth(depth, sonar, camera, IDEAL)
+    depth = np.full(SHAPE, 5.0)
+    first = ping_of(depth)
 
     def forbidden(*_, **_more):
         raise AssertionError("made again")
 
     monkeypatch.setattr("sonar_gl.embed.sensor.make_beamformer", forbidden)
-    equal = replace(sonar), sg.Camera(camera.width, camera.height, camera.intrinsics), sg.Acoustics.ideal()
+    equal = replace(SONAR), sg.Camera(CAMERA.width, CAMERA.height, CAMERA.intrinsics), sg.Acoustics.ideal()
     assert (sg.ping_from_depth(depth, *equal).intensity == first.intensity).all()
     with pytest.raises(AssertionError, match="made again"):
-        sg.ping_from_depth(depth, replace(sonar, n_beams=81), camera, IDEAL)
+        sg.ping_from_depth(depth, replace(SONAR, n_beams=81), CAMERA, IDEAL)
 
 
 def test_the_rigs_of_the_cameras_that_were_used_last_are_kept(monkeypatch):
@@ -585,16 +564,16 @@ def test_the_rigs_of_the_cameras_that_were_used_last_are_kept(monkeypatch):
 
     monkeypatch.setattr("sonar_gl.embed.sensor.CameraRig", CountedRig)
     monkeypatch.setattr("sonar_gl.embed.sensor.MAX_RIGS", 2)
-    with embed.Sensor(sonar_of(), IDEAL, sg.Sampling(1, 16)) as sensor:
+    with embed.Sensor(SONAR, IDEAL, sg.Sampling(1, 16)) as sensor:
         for number in (0, 1, 0, 2, 0, 1):
             sensor.ping_from_depth(np.full((48, 64), 5.0), cameras[number])
     assert made == [0, 1, 2, 1]
 
 
 def test_labels_may_have_the_highest_number_of_a_body():
-    camera = camera_of(sonar_of(), 64)
+    camera = camera_of(SONAR, 64)
     depth = np.full((camera.height, camera.width), 5.0)
-    with embed.Sensor(sonar_of(), IDEAL, sg.Sampling(1, 16)) as sensor:
+    with embed.Sensor(SONAR, IDEAL, sg.Sampling(1, 16)) as sensor:
         ping = sensor.ping_from_depth(depth, camera, body_id=np.full(depth.shape, 65534), labels=True)
         assert ping.body_id.max() == 65534 and ping.meta["bodies"][-1] == "body 65534"
         with pytest.raises(sg.Error, match=r"numbers of bodies must lie in 1\.\.65534"):
@@ -677,7 +656,7 @@ GOOD = np.full((30, 40), 5.0)
 )
 def test_invalid_arguments_raise_errors(more, message):
     camera = sg.Camera.of_fov(40, 30, math.radians(50))
-    kwargs = {"depth": GOOD, "sonar": sonar_of(), "camera": camera, "acoustics": IDEAL} | more
+    kwargs = {"depth": GOOD, "sonar": SONAR, "camera": camera, "acoustics": IDEAL} | more
     if several := kwargs.pop("several", 0):
         kwargs["camera"] = [camera] * several
     with pytest.raises(sg.Error, match=message) as caught:
@@ -686,36 +665,32 @@ def test_invalid_arguments_raise_errors(more, message):
 
 
 def test_masked_pixels_are_empty():
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    depth, mask = np.full((camera.height, camera.width), 5.0), np.zeros((camera.height, camera.width), bool)
-    mask[:, camera.width // 2 :] = True  # the starboard half
-    masked = sg.ping_from_depth(np.ma.array(depth, mask=mask), sonar, camera, IDEAL)
-    holes = sg.ping_from_depth(np.where(mask, np.nan, depth), sonar, camera, IDEAL)
+    depth, mask = np.full(SHAPE, 5.0), np.zeros(SHAPE, bool)
+    mask[:, CAMERA.width // 2 :] = True  # the starboard half
+    masked = ping_of(np.ma.array(depth, mask=mask))
+    holes = ping_of(np.where(mask, np.nan, depth))
     assert np.array_equal(masked.intensity, holes.intensity) and masked.intensity.any()
-    assert masked.intensity[: sonar.n_beams // 4].sum() == 0
+    assert masked.intensity[: SONAR.n_beams // 4].sum() == 0
 
 
 def test_reflectivity_may_be_unknown_where_a_pixel_is_empty():
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    depth, mu = np.full((camera.height, camera.width), 6.0), np.full((camera.height, camera.width), 0.4)
+    depth, mu = np.full(SHAPE, 6.0), np.full(SHAPE, 0.4)
     for row, empty in enumerate((0.0, -1.0, np.nan, np.inf)):
         depth[row] = empty
     mu[:4] = np.nan
-    unknown = sg.ping_from_depth(depth, sonar, camera, IDEAL, reflectivity=mu)
-    known = sg.ping_from_depth(depth, sonar, camera, IDEAL, reflectivity=np.nan_to_num(mu))
+    unknown = ping_of(depth, reflectivity=mu)
+    known = ping_of(depth, reflectivity=np.nan_to_num(mu))
     assert np.array_equal(unknown.intensity, known.intensity) and known.intensity.any()
     mu[4, :3] = np.nan
     with pytest.raises(sg.Error, match="got NaN in 3 of these pixels"):
-        sg.ping_from_depth(depth, sonar, camera, IDEAL, reflectivity=mu)
+        ping_of(depth, reflectivity=mu)
 
 
-def z_buffer_hints(depth, sonar, camera) -> int:
+def z_buffer_hints(depth, sonar=SONAR) -> int:
     """Return how many warnings say that depth looks like a z-buffer."""
     with warnings.catch_warnings(record=True) as caught, embed.Sensor(sonar, IDEAL) as sensor:
         warnings.simplefilter("always")
-        sensor.ping_from_depth(depth, camera)
+        sensor.ping_from_depth(depth, CAMERA)
     return sum("as a z-buffer does" in str(one.message) for one in caught)
 
 
@@ -724,54 +699,48 @@ def z_buffer_hints(depth, sonar, camera) -> int:
 @pytest.mark.parametrize("is_reversed", [False, True])
 def test_every_z_buffer_in_place_of_depth_gives_a_hint(is_reversed, some_cleared, near_m):
     """Early versions gave it only if the largest value was exactly 1."""
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    tilted = np.linspace(1.5, 18, camera.width)
-    for metres in (np.full((camera.height, camera.width), 6.0), np.tile(tilted, (camera.height, 1))):
+    tilted = np.linspace(1.5, 18, CAMERA.width)
+    for metres in (np.full(SHAPE, 6.0), np.tile(tilted, (CAMERA.height, 1))):
         if some_cleared:
             metres[:, :9] = np.inf
         depth = near_m / metres if is_reversed else 1 - near_m / metres
-        assert z_buffer_hints(depth, sonar, camera) == 1
+        assert z_buffer_hints(depth) == 1
 
 
 def test_metres_give_no_hint_of_a_z_buffer():
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    shape = camera.height, camera.width
+    shape = CAMERA.height, CAMERA.width
     small = np.zeros(shape)
     small[3:9, 3:9] = 0.95  # something before the camera, and nothing else
     metres = {
         "wall": np.full(shape, 0.8),
-        "walls": np.tile(np.linspace(0.6, 0.99, camera.width), (camera.height, 1)),
-        "corner of a tank": np.tile(np.linspace(0.05, 0.9, camera.width), (camera.height, 1)),
+        "walls": np.tile(np.linspace(0.6, 0.99, CAMERA.width), (CAMERA.height, 1)),
+        "corner of a tank": np.tile(np.linspace(0.05, 0.9, CAMERA.width), (CAMERA.height, 1)),
         "small": small,
-        "far": np.tile(np.linspace(0.95, 1.05, camera.width), (camera.height, 1)),
+        "far": np.tile(np.linspace(0.95, 1.05, CAMERA.width), (CAMERA.height, 1)),
         "nothing": np.zeros(shape),
     }
-    hints = {name: z_buffer_hints(depth, sonar, camera) for name, depth in metres.items()}
+    hints = {name: z_buffer_hints(depth) for name, depth in metres.items()}
     assert hints == dict.fromkeys(metres, 0)
-    short = replace(sonar, range_min_m=0.1, range_max_m=2.0)
-    assert z_buffer_hints(np.full(shape, 0.95), short, camera) == 0
+    short = replace(SONAR, range_min_m=0.1, range_max_m=2.0)
+    assert z_buffer_hints(np.full(shape, 0.95), short) == 0
 
 
 def test_a_z_buffer_in_place_of_depth_warns_once():
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    projection, metres = camera.projection(0.1, 50.0), np.full((camera.height, camera.width), 6.0)
-    metres[: camera.height // 4] = 50.0
+    projection, metres = CAMERA.projection(0.1, 50.0), np.full(SHAPE, 6.0)
+    metres[: CAMERA.height // 4] = 50.0
     ndc = (-projection[2, 2] * metres + projection[2, 3]) / metres
     z_buffer = (ndc + 1) / 2
-    z_buffer[: camera.height // 4] = 1.0
+    z_buffer[: CAMERA.height // 4] = 1.0
     with (
-        embed.Sensor(sonar, IDEAL) as sensor,
+        embed.Sensor(SONAR, IDEAL) as sensor,
         pytest.warns(UserWarning, match="as a z-buffer does") as caught,
     ):
         for _ in range(2):
-            sensor.ping_from_depth(z_buffer, camera)
+            sensor.ping_from_depth(z_buffer, CAMERA)
     assert len([one for one in caught if "z-buffer" in str(one.message)]) == 1
     undone = embed.metres_ahead(z_buffer, projection)
-    assert (undone[: camera.height // 4] == 0).all()
-    np.testing.assert_allclose(undone[camera.height // 4 :], 6.0, rtol=1e-4)  # float32 near 1
+    assert (undone[: CAMERA.height // 4] == 0).all()
+    np.testing.assert_allclose(undone[CAMERA.height // 4 :], 6.0, rtol=1e-4)  # float32 near 1
     for wrong, message in (
         ((np.zeros(3), projection), "z_buffer must have shape"),
         ((z_buffer, projection.T), "projection must be an OpenGL perspective"),
@@ -789,29 +758,25 @@ def test_a_z_buffer_in_place_of_depth_warns_once():
 
 
 def test_every_body_number_of_the_labels_has_a_name():
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    depth = np.full((camera.height, camera.width), 5.0)
+    depth = np.full(SHAPE, 5.0)
     kwargs = {"body_id": np.full(depth.shape, 3), "labels": True}
-    ping = sg.ping_from_depth(depth, sonar, camera, IDEAL, bodies=["wall"], **kwargs)
+    ping = ping_of(depth, bodies=["wall"], **kwargs)
     assert ping.meta["bodies"] == ["wall", "body 2", "body 3"]
     assert len(ping.body_echo) == 4 and ping.body_echo[3] > 0
 
 
 def test_a_forked_process_may_ping():
     """Workers that load data are often forked: cached sensors have threads that the fork lacks."""
-    sonar = sonar_of()
-    camera = camera_of(sonar)
-    depth = np.full((camera.height, camera.width), 5.0)
-    parent_intensity = sg.ping_from_depth(depth, sonar, camera, IDEAL).intensity
+    depth = np.full(SHAPE, 5.0)
+    parent_intensity = ping_of(depth).intensity
 
     def pings_alike():
-        ping = sg.ping_from_depth(depth, sonar, camera, IDEAL)
+        ping = ping_of(depth)
         assert np.array_equal(ping.intensity, parent_intensity)
 
-    with embed.Sensor(sonar, IDEAL) as sensor:
-        sensor.ping_from_depth(depth, camera)
-        replies = in_fork(pings_alike, lambda: sensor.ping_from_depth(depth, camera))
+    with embed.Sensor(SONAR, IDEAL) as sensor:
+        sensor.ping_from_depth(depth, CAMERA)
+        replies = in_fork(pings_alike, lambda: sensor.ping_from_depth(depth, CAMERA))
     refused = "a Sensor must be used in the process that made it; make one in each process"
     assert replies == ["done", refused]
 
@@ -819,7 +784,7 @@ def test_a_forked_process_may_ping():
 @pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
 def test_a_sensor_refuses_to_be_copied(take):
     with (
-        embed.Sensor(sonar_of(), IDEAL) as sensor,
+        embed.Sensor(SONAR, IDEAL) as sensor,
         pytest.raises(sg.Error, match="a Sensor cannot be copied"),
     ):
         take(sensor)
@@ -828,10 +793,9 @@ def test_a_sensor_refuses_to_be_copied(take):
 @pytest.mark.slow
 def test_many_camera_rigs_do_not_leak_threads():
     """A sensor caches the last few rigs: their number bounds the threads, and closing ends all threads."""
-    sonar = sonar_of()
     gc.collect()  # threads of earlier tests may end meanwhile; none starts
     before = threading.active_count()
-    with embed.Sensor(sonar, IDEAL) as sensor:
+    with embed.Sensor(SONAR, IDEAL) as sensor:
         for k in range(12):
             camera = sg.Camera.of_fov(60 + 2 * k, 40, fov_x_rad=1.6, fov_y_rad=0.9)
             sensor.ping_from_depth(np.full((40, 60 + 2 * k), 5.0), camera)

@@ -45,21 +45,32 @@ def context(context, monkeypatch):
     return context
 
 
-def scene_of(*more):
-    """Return a floor, a smooth ball, a box with a specular lobe, a box with a μ per face, and an open mesh."""
-    ball = trimesh.creation.icosphere(3, 0.8)
-    box = trimesh.creation.box((1.0, 1.0, 2.0))
-    open_mesh = trimesh.Trimesh([[0, -1, -1], [0, 1, -1], [0, 0, 1]], [[0, 1, 2]], process=False)
-    return sg.Scene(
-        [
-            sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3), 0.3),
-            sg.Body("ball", ball, sg.pose(6, 4, -1), 0.8, normals=ball.vertices / 0.8),
-            sg.Body("smooth", box, sg.pose(7, 1, -1.5, yaw=0.4), 0.4, specular=0.5, roughness_rad=0.2),
-            sg.Body("faces", box, sg.pose(9, 3, -1.5, yaw=0.9), np.linspace(0.1, 0.9, len(box.faces))),
-            sg.Body("open", open_mesh, sg.pose(8, 6, -1, yaw=0.5), 0.7),
-            *more,
-        ]
-    )
+BALL, BOX = trimesh.creation.icosphere(3, 0.8), trimesh.creation.box((1.0, 1.0, 2.0))
+OPEN = trimesh.Trimesh([[0, -1, -1], [0, 1, -1], [0, 0, 1]], [[0, 1, 2]], process=False)
+# a floor, a smooth ball, a box with a specular lobe, a box with a μ per face, and an open mesh
+SCENE = sg.Scene(
+    [
+        sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3), 0.3),
+        sg.Body("ball", BALL, sg.pose(6, 4, -1), 0.8, normals=BALL.vertices / 0.8),
+        sg.Body("smooth", BOX, sg.pose(7, 1, -1.5, yaw=0.4), 0.4, specular=0.5, roughness_rad=0.2),
+        sg.Body("faces", BOX, sg.pose(9, 3, -1.5, yaw=0.9), np.linspace(0.1, 0.9, len(BOX.faces))),
+        sg.Body("open", OPEN, sg.pose(8, 6, -1, yaw=0.5), 0.7),
+    ]
+)
+# without specular lobes, smooth normals and μ per face, which textures cannot express
+PLAIN = sg.Scene([body for body in SCENE.bodies if body.name in ("floor", "open", "ball")])
+
+
+@pytest.fixture
+def host(context):
+    """A host that draws SCENE."""
+    return gl_host.Program(SCENE)
+
+
+@pytest.fixture
+def sensor(context):
+    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
+        yield sensor
 
 
 def names(scene):
@@ -93,44 +104,41 @@ def draw(host, sensor, pose=POSE, lobes=True):
         pytest.param("ideal", 360.0, marks=pytest.mark.slow),
     ],
 )
-def test_host_drawn_sectors_give_the_simulator_s_ping(profile, fov_deg):
-    scene, acoustics = scene_of(), getattr(sg.Acoustics, profile)()
-    sonar = sg.Sonar("wide", 900e3, 128, 256, fov_deg, 20.0, 1.0, 0.5, 20.0)
-    true, host = simulate(scene, sonar, acoustics), gl_host.Program(scene)
+def test_host_drawn_sectors_give_the_simulator_s_ping(host, profile, fov_deg):
+    acoustics = getattr(sg.Acoustics, profile)()
+    sonar = replace(SONAR, azimuth_fov_deg=fov_deg)
+    true = simulate(SCENE, sonar, acoustics)
     with embed.Sensor(sonar, acoustics, SAMPLING) as sensor:
         draw(host, sensor, lobes=acoustics.specular)
-        ping = sensor.finish(labels=True, bodies=names(scene))
+        ping = sensor.finish(labels=True, bodies=names(SCENE))
     # a host does not tell where its bodies are, within whose ranges the longest footprints are kept
     assert difference(ping, true) < SNAPPING
     assert (ping.body_id != true.body_id).mean() < 2e-3  # likewise, and bins with two equal echoes
     # a body's echo depends on the samples along its outline, one of which may hit another body
     assert np.allclose(ping.body_echo, true.body_echo, rtol=1e-3, atol=1e-4 * true.body_echo.sum())
-    assert ping.meta["bodies"] == names(scene)
+    assert ping.meta["bodies"] == names(SCENE)
     assert ping.meta["gl_renderer"] == true.meta["gl_renderer"]
     assert np.array_equal(ping.pose, POSE) and ping.error_estimate is None
     # with specular acoustics the box has a lobe; without it the echo would be too weak
-    assert (true.body_echo[3] > 1.05 * simulate(scene, sonar, sg.Acoustics.ideal()).body_echo[3]) == (
+    assert (true.body_echo[3] > 1.05 * simulate(SCENE, sonar, sg.Acoustics.ideal()).body_echo[3]) == (
         profile == "physical"
     )
 
 
-def test_a_target_to_port_is_received_to_port():
+def test_a_target_to_port_is_received_to_port(sensor):
     """The host looks along y; the image is not mirrored."""
     ball = sg.Body("ball", trimesh.creation.icosphere(3, 0.3), sg.pose(-2, 8, 0), 0.8)
     host, pose = gl_host.Program(sg.Scene([ball])), sg.pose(yaw=math.pi / 2)
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        draw(host, sensor, pose)
-        ping = sensor.finish()
+    draw(host, sensor, pose)
+    ping = sensor.finish()
     beam = ping.intensity.sum(axis=1).argmax()
     assert ping.azimuth_rad[beam] == pytest.approx(math.atan2(2, 8), abs=math.radians(1))
     image = sg.fan_image(ping, height=200)
     assert np.argwhere(image > image.max() - 0.1)[:, 1].mean() < image.shape[1] / 2
 
 
-def test_sectors_are_drawn_from_the_tilted_head():
+def test_sectors_are_drawn_from_the_tilted_head(host):
     sonar, pitched = replace(SONAR, tilt_deg=12.0), sg.pose(pitch=math.radians(12.0))
-    scene = scene_of()
-    host = gl_host.Program(scene)
     with embed.Sensor(sonar, sampling=SAMPLING) as sensor, embed.Sensor(SONAR, sampling=SAMPLING) as level:
         for one, other in zip(sensor.sectors(POSE), level.sectors(POSE @ pitched), strict=True):
             assert np.array_equal(one.view, other.view) and np.array_equal(one.projection, other.projection)
@@ -139,15 +147,14 @@ def test_sectors_are_drawn_from_the_tilted_head():
         draw(host, sensor)
         ping = sensor.finish()
     assert np.array_equal(ping.pose, POSE)
-    assert difference(ping, simulate(scene, sonar)) < ROUNDING
+    assert difference(ping, simulate(SCENE, sonar)) < ROUNDING
 
 
-def test_noise_and_motion_act_as_in_the_simulator():
+def test_noise_and_motion_act_as_in_the_simulator(host):
     """But for lobes, which the host draws as one with the diffuse echo: speckle does not spare them."""
-    scene, acoustics = scene_of(), sg.Acoustics.physical(specular=False)
-    host = gl_host.Program(scene)
+    acoustics = sg.Acoustics.physical(specular=False)
     with (
-        sg.Simulator(scene, SONAR, acoustics, SAMPLING) as simulator,
+        sg.Simulator(SCENE, SONAR, acoustics, SAMPLING) as simulator,
         embed.Sensor(SONAR, acoustics, SAMPLING) as sensor,
     ):
         more = {"noise": sg.Noise.physical(), "seed": 3, "ping_number": 7}
@@ -162,23 +169,21 @@ def test_noise_and_motion_act_as_in_the_simulator():
     assert np.array_equal(ping.intensity, again.intensity)
 
 
-def test_the_host_may_change_bindings_while_it_draws():
+def test_the_host_may_change_bindings_while_it_draws(host, sensor):
     """A host that draws a shadow map returns to our framebuffer, but leaves other pixel stores and buffers."""
-    scene = scene_of()
-    host, true = gl_host.Program(scene), simulate(scene)
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        for sector in sensor.sectors(POSE):
-            with sector:
-                ours = GL.glGetIntegerv(GL.GL_DRAW_FRAMEBUFFER_BINDING)
-                host.textures(sector.view, sector.projection, 64, 64)
-                GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, ours)
-                GL.glViewport(0, 0, sector.width, sector.height)
-                host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
-                GL.glPixelStorei(GL.GL_PACK_ROW_LENGTH, 7)
-                buffer = GL.glGenBuffers(1)
-                GL.glBindBuffer(GL.GL_PIXEL_PACK_BUFFER, buffer)
-                GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
-        ping = sensor.finish()
+    true = simulate(SCENE)
+    for sector in sensor.sectors(POSE):
+        with sector:
+            ours = GL.glGetIntegerv(GL.GL_DRAW_FRAMEBUFFER_BINDING)
+            host.textures(sector.view, sector.projection, 64, 64)
+            GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, ours)
+            GL.glViewport(0, 0, sector.width, sector.height)
+            host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
+            GL.glPixelStorei(GL.GL_PACK_ROW_LENGTH, 7)
+            buffer = GL.glGenBuffers(1)
+            GL.glBindBuffer(GL.GL_PIXEL_PACK_BUFFER, buffer)
+            GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
+    ping = sensor.finish()
     assert difference(ping, true) < ROUNDING
     assert (
         GL.glGetIntegerv(GL.GL_PACK_ROW_LENGTH) == 0
@@ -186,11 +191,9 @@ def test_the_host_may_change_bindings_while_it_draws():
     )
 
 
-def test_without_a_sampling_the_tolerance_sets_the_samples():
-    scene = scene_of()
-    host = gl_host.Program(scene)
+def test_without_a_sampling_the_tolerance_sets_the_samples(host):
     errors, samples = [], []
-    fine = simulate(scene, sampling=sg.Sampling(16, 400))
+    fine = simulate(SCENE, sampling=sg.Sampling(16, 400))
     for tolerance in (0.1, 0.02):
         with embed.Sensor(SONAR, tolerance=tolerance) as sensor:
             draw(host, sensor)
@@ -217,11 +220,6 @@ def texture_pings(host, sensor, views, holds="planar", normals=True, **more):
     )
 
 
-def plain_scene():
-    """Return a scene without specular lobes, smooth normals and μ per face, which textures cannot express."""
-    return sg.Scene([body for body in scene_of().bodies if body.name in ("floor", "open", "ball")])
-
-
 def mu_of(scene):
     return {number: body.reflectivity for number, body in enumerate(scene.bodies, 1)}
 
@@ -242,15 +240,14 @@ def view_of(camera):
     # normals are float32 differences
     [("planar", 1e-3), ("z-buffer", 2e-3)],
 )
-def test_textures_of_the_sectors_give_the_simulator_s_ping(holds, limit):
-    scene = sg.Scene([sg.Body(b.name, b.mesh, b.pose, b.reflectivity) for b in plain_scene().bodies])
+def test_textures_of_the_sectors_give_the_simulator_s_ping(sensor, holds, limit):
+    scene = sg.Scene([sg.Body(b.name, b.mesh, b.pose, b.reflectivity) for b in PLAIN.bodies])
     host, true = gl_host.Program(scene), simulate(scene)
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        sectors = sensor.sectors(POSE, near_m=0.3)
-        views = [(s.view, s.projection, s.width, s.height, s.rotation) for s in sectors]
-        ping = texture_pings(
-            host, sensor, views, holds, labels=True, reflectivity=mu_of(scene), bodies=names(scene)
-        )
+    sectors = sensor.sectors(POSE, near_m=0.3)
+    views = [(s.view, s.projection, s.width, s.height, s.rotation) for s in sectors]
+    ping = texture_pings(
+        host, sensor, views, holds, labels=True, reflectivity=mu_of(scene), bodies=names(scene)
+    )
     assert difference(ping, true) < limit
     assert (ping.body_id != true.body_id).mean() < 2e-3
     assert np.allclose(ping.body_echo, true.body_echo, rtol=5e-3, atol=2e-4 * true.body_echo.sum())
@@ -259,14 +256,13 @@ def test_textures_of_the_sectors_give_the_simulator_s_ping(holds, limit):
 @pytest.mark.parametrize("normals", [True, False])
 @pytest.mark.parametrize("aside_rad", [pytest.param(0.0, marks=pytest.mark.slow), 0.2])
 def test_textures_of_other_projections_give_nearly_the_same_ping(normals, aside_rad):
-    scene = plain_scene()
-    host, true = gl_host.Program(scene), simulate(scene, sampling=sg.Sampling(16, 400))
+    host, true = gl_host.Program(PLAIN), simulate(PLAIN, sampling=sg.Sampling(16, 400))
     ahead = sg.Camera.of_fov(4, 4, fov_x_rad=1.0).rotation
     camera = sg.Camera.of_fov(
         1000, 400, fov_x_rad=1.6, rotation=sg.pose(yaw=aside_rad, roll=0.1)[:3, :3] @ ahead
     )
     with embed.Sensor(SONAR) as sensor:
-        ping = texture_pings(host, sensor, [view_of(camera)], normals=normals, reflectivity=mu_of(scene))
+        ping = texture_pings(host, sensor, [view_of(camera)], normals=normals, reflectivity=mu_of(PLAIN))
     # pixels of 0.1 degrees; docs/embedding.md charts the error over the resolution
     assert difference(ping, true) < (0.015 if normals else 0.03)
 
@@ -281,10 +277,9 @@ def reversed_projection(near_m, infinite):
 
 
 @pytest.mark.parametrize("infinite", [True, False])
-def test_a_reversed_z_buffer(infinite, context):
+def test_a_reversed_z_buffer(sensor, infinite, context):
     """Game engines use z-buffers of zero to one in which nearer surfaces have larger values."""
-    scene = plain_scene()
-    host, width, height = gl_host.Program(scene), 800, 300
+    host, width, height = gl_host.Program(PLAIN), 800, 300
     projection = reversed_projection(0.1, infinite)
     camera = sg.Camera.of_projection(projection, width, height)
     view = np.linalg.inv(camera.pose_gl(POSE))
@@ -295,21 +290,18 @@ def test_a_reversed_z_buffer(infinite, context):
     GL.glClearBufferfv(GL.GL_DEPTH, 0, np.zeros(1, np.float32))
     GL.glClearBufferfv(GL.GL_COLOR, 2, np.zeros(4, np.float32))
     host.draw("deferred", view, projection)
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        more = {"pose": POSE, "normals": drawn["normals"]}
-        ping = sensor.ping_from_textures(drawn["z-buffer"], projection, zero_to_one=True, **more)
-        metres = sensor.ping_from_textures(drawn["metres"], projection, holds="planar", **more)
-        advice = "projection must be the one that the z-buffer was drawn with, and zero_to_one be True"
-        with pytest.warns(UserWarning, match=f"no echo came back: .*; {advice}") as caught:
-            sensor.ping_from_textures(drawn["z-buffer"], projection, zero_to_one=False, **more)
-        assert "metres ahead" not in str(caught[-1].message)
-        ordinary = camera.projection(0.1, 100.0)  # not reversed: all seems to be at the near plane
-        with pytest.warns(UserWarning, match=f"no echo came back: the nearest surface .*; {advice}"):
-            sensor.ping_from_textures(drawn["z-buffer"], ordinary, **more)
-        with pytest.raises(
-            sg.Error, match=r"^projection must have x to the right and y up, .* without the flip"
-        ):
-            sensor.ping_from_textures(drawn["z-buffer"], np.diag([1, -1, 1, 1]) @ projection, **more)
+    more = {"pose": POSE, "normals": drawn["normals"]}
+    ping = sensor.ping_from_textures(drawn["z-buffer"], projection, zero_to_one=True, **more)
+    metres = sensor.ping_from_textures(drawn["metres"], projection, holds="planar", **more)
+    advice = "projection must be the one that the z-buffer was drawn with, and zero_to_one be True"
+    with pytest.warns(UserWarning, match=f"no echo came back: .*; {advice}") as caught:
+        sensor.ping_from_textures(drawn["z-buffer"], projection, zero_to_one=False, **more)
+    assert "metres ahead" not in str(caught[-1].message)
+    ordinary = camera.projection(0.1, 100.0)  # not reversed: all seems to be at the near plane
+    with pytest.warns(UserWarning, match=f"no echo came back: the nearest surface .*; {advice}"):
+        sensor.ping_from_textures(drawn["z-buffer"], ordinary, **more)
+    with pytest.raises(sg.Error, match=r"^projection must have x to the right and y up, .* without the flip"):
+        sensor.ping_from_textures(drawn["z-buffer"], np.diag([1, -1, 1, 1]) @ projection, **more)
     assert difference(ping, metres) < 1e-4  # a reversed float z-buffer is as exact as metres
 
 
@@ -335,8 +327,7 @@ def test_depth_textures_are_converted_to_range():
 
 
 def test_invalid_textures_raise_errors():
-    scene = plain_scene()
-    host = gl_host.Program(scene)
+    host = gl_host.Program(PLAIN)
     camera = sg.Camera.of_fov(64, 32, fov_x_rad=1.4)
     projection = camera.projection(0.1, 100)
     drawn = host.textures(np.linalg.inv(camera.pose_gl(POSE)), projection, 64, 32)
@@ -379,10 +370,8 @@ def test_invalid_textures_raise_errors():
     assert GL.glGetIntegerv(GL.GL_TEXTURE_BINDING_2D) == empty
 
 
-def test_a_ping_needs_all_sectors_drawn():
-    scene = scene_of()
-    host = gl_host.Program(scene)
-    sonar = sg.Sonar("wide", 900e3, 128, 256, 130.0, 20.0, 1.0, 0.5, 20.0)
+def test_a_ping_needs_all_sectors_drawn(host):
+    sonar = replace(SONAR, azimuth_fov_deg=130.0)
     with embed.Sensor(sonar, sampling=SAMPLING) as sensor:
         with pytest.raises(sg.Error, match=r"sectors must be drawn before a ping is finished \(got none"):
             sensor.finish()
@@ -398,39 +387,34 @@ def test_a_ping_needs_all_sectors_drawn():
             sensor.finish()
 
 
-def test_an_exception_inside_a_sector_restores_the_host_s_state():
-    scene = scene_of()
-    host, true = gl_host.Program(scene), simulate(scene)
+def test_an_exception_inside_a_sector_restores_the_host_s_state(host, sensor):
+    true = simulate(SCENE)
     GL.glViewport(1, 2, 3, 4)
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        (sector,) = sensor.sectors(POSE)
-        with pytest.raises(KeyError, match="the host's"), sector:
-            raise KeyError("the host's own")
-        assert list(GL.glGetIntegerv(GL.GL_VIEWPORT)) == [1, 2, 3, 4]
-        assert GL.glGetIntegerv(GL.GL_DRAW_FRAMEBUFFER_BINDING) == 0
-        with pytest.raises(sg.Error, match="got 0 of 1"):
-            sensor.finish()
-        draw(host, sensor)
-        assert difference(sensor.finish(), true) < ROUNDING
+    (sector,) = sensor.sectors(POSE)
+    with pytest.raises(KeyError, match="the host's"), sector:
+        raise KeyError("the host's own")
+    assert list(GL.glGetIntegerv(GL.GL_VIEWPORT)) == [1, 2, 3, 4]
+    assert GL.glGetIntegerv(GL.GL_DRAW_FRAMEBUFFER_BINDING) == 0
+    with pytest.raises(sg.Error, match="got 0 of 1"):
+        sensor.finish()
+    draw(host, sensor)
+    assert difference(sensor.finish(), true) < ROUNDING
 
 
-def test_invalid_shader_outputs_raise_errors():
+def test_invalid_shader_outputs_raise_errors(host, sensor):
     """NaN is refused, since loops over bins would run past their ends."""
-    scene = scene_of()
-    host = gl_host.Program(scene)
     for kind, mu in (("nan", "mu * sqrt(-1.0 - mu)"), ("loud", "255.0 * mu")):
         host.programs[kind] = sonar_program("mu, body", f"{mu}, body")
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        (sector,) = sensor.sectors(POSE)
-        for kind, lattice, message in (
-            ("nan", sector.lattice, r"the reflectivity that the host writes must lie in 0\.\.1"),
-            ("loud", sector.lattice, r"the reflectivity that the host writes must lie in 0\.\.1"),
-            ("sonar", np.zeros((3, 3)), "must be finite .* set the uniform sonar_gl_lattice"),
-        ):
-            with pytest.raises(sg.Error, match=message), sector:
-                host.draw(kind, sector.view, sector.projection, lattice)
-            with pytest.raises(sg.Error, match="got 0 of 1"):
-                sensor.finish()
+    (sector,) = sensor.sectors(POSE)
+    for kind, lattice, message in (
+        ("nan", sector.lattice, r"the reflectivity that the host writes must lie in 0\.\.1"),
+        ("loud", sector.lattice, r"the reflectivity that the host writes must lie in 0\.\.1"),
+        ("sonar", np.zeros((3, 3)), "must be finite .* set the uniform sonar_gl_lattice"),
+    ):
+        with pytest.raises(sg.Error, match=message), sector:
+            host.draw(kind, sector.view, sector.projection, lattice)
+        with pytest.raises(sg.Error, match="got 0 of 1"):
+            sensor.finish()
 
 
 def sonar_program(old, new):
@@ -441,24 +425,22 @@ def sonar_program(old, new):
 
 
 @pytest.mark.parametrize("exponent", [-100, -40, -10, 20, 66, 120])
-def test_the_length_of_a_host_s_normals_changes_nothing(exponent):
+def test_the_length_of_a_host_s_normals_changes_nothing(host, sensor, exponent):
     """Powers of two round nothing. Those of a world in millimetres, 1e-3 long, were taken for those of flat faces."""
-    host = gl_host.Program(scene_of())
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        pings = []
-        for factor in (1.0, 2.0**exponent, 0.0):
-            host.programs["sonar"] = sonar_program("view_normal, mu", f"view_normal * {factor!r}, mu")
-            draw(host, sensor)
-            pings.append(sensor.finish())
+    pings = []
+    for factor in (1.0, 2.0**exponent, 0.0):
+        host.programs["sonar"] = sonar_program("view_normal, mu", f"view_normal * {factor!r}, mu")
+        draw(host, sensor)
+        pings.append(sensor.finish())
     unit, scaled, flat = pings
     assert np.array_equal(scaled.intensity, unit.intensity)
     assert difference(flat, unit) > 5e-4
 
 
 @pytest.mark.parametrize("unit_m", [0.01, 0.001])
-def test_a_host_s_world_of_other_units_gives_the_same_ping(unit_m):
+def test_a_host_s_world_of_other_units_gives_the_same_ping(sensor, unit_m):
     """Its view is scaled, and with it the normals, which are as short as the unit."""
-    scene, pings = scene_of(), []
+    pings = []
     larger = sg.Scene(
         [
             replace(
@@ -466,17 +448,16 @@ def test_a_host_s_world_of_other_units_gives_the_same_ping(unit_m):
                 mesh=body.mesh.copy().apply_scale(1 / unit_m),
                 pose=np.block([[body.pose[:3, :3], body.pose[:3, 3:] / unit_m], [0, 0, 0, 1]]),
             )
-            for body in scene.bodies
+            for body in SCENE.bodies
         ]
     )
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        for world, unit in ((scene, 1.0), (larger, unit_m)):
-            host = gl_host.Program(world)
-            for sector in sensor.sectors(POSE):
-                view = sector.view @ np.diag([unit, unit, unit, 1.0])
-                with sector:
-                    host.draw("sonar", view, sector.projection, sector.lattice, lobes=True)
-            pings.append(sensor.finish())
+    for world, unit in ((SCENE, 1.0), (larger, unit_m)):
+        host = gl_host.Program(world)
+        for sector in sensor.sectors(POSE):
+            view = sector.view @ np.diag([unit, unit, unit, 1.0])
+            with sector:
+                host.draw("sonar", view, sector.projection, sector.lattice, lobes=True)
+        pings.append(sensor.finish())
     assert difference(pings[1], pings[0]) < ROUNDING
 
 
@@ -490,17 +471,15 @@ def test_a_host_s_world_of_other_units_gives_the_same_ping(unit_m):
         "vec3(1.0, -exp2(200.0 + mu), 0.0)",
     ],
 )
-def test_normals_that_are_not_finite_raise_an_error(normal):
+def test_normals_that_are_not_finite_raise_an_error(host, sensor, normal):
     """The echo of the body was lost: drivers clamp NaN to 0."""
-    host = gl_host.Program(scene_of())
     host.programs["sonar"] = sonar_program("view_normal, mu", f"body == 2u ? {normal} : view_normal, mu")
     message = r"^the normals that the host writes must be finite \(got NaN or infinity; .*check the normals"
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        (sector,) = sensor.sectors(POSE)
-        with pytest.raises(sg.Error, match=message), sector:
-            host.draw("sonar", sector.view, sector.projection, sector.lattice)
-        with pytest.raises(sg.Error, match="got 0 of 1"):
-            sensor.finish()
+    (sector,) = sensor.sectors(POSE)
+    with pytest.raises(sg.Error, match=message), sector:
+        host.draw("sonar", sector.view, sector.projection, sector.lattice)
+    with pytest.raises(sg.Error, match="got 0 of 1"):
+        sensor.finish()
 
 
 @pytest.mark.parametrize(
@@ -524,34 +503,31 @@ def test_normals_that_are_not_finite_raise_an_error(normal):
         ("0.5, exp2(200.0 + mu)", False),
     ],
 )
-def test_a_lobe_outside_the_bounds_of_bodies_raises_an_error(lobe, is_right):
+def test_a_lobe_outside_the_bounds_of_bodies_raises_an_error(host, sensor, lobe, is_right):
     """An |R|² of 50 was accepted, -0.5 was none, and of a slope of 0 the message blamed the reflectivity."""
-    host = gl_host.Program(scene_of())
     host.programs["sonar"] = sonar_program("body, lobe", f"body, body == 2u ? vec2({lobe}) : lobe")
     message = r"^a lobe .* \|R\|² in 0\.\.1 and .* slope in 0\.01\.\.0\.5 \(got another"
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        (sector,) = sensor.sectors(POSE)
-        expected = contextlib.nullcontext() if is_right else pytest.raises(sg.Error, match=message)
-        with expected, sector:
-            host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
-        if is_right:
-            assert sensor.finish().intensity.any()
+    (sector,) = sensor.sectors(POSE)
+    expected = contextlib.nullcontext() if is_right else pytest.raises(sg.Error, match=message)
+    with expected, sector:
+        host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
+    if is_right:
+        assert sensor.finish().intensity.any()
 
 
-def test_a_warning_says_why_a_ping_has_no_echo():
+def test_a_warning_says_why_a_ping_has_no_echo(sensor):
     host = gl_host.Program(sg.Scene([sg.Body("far", trimesh.creation.box((1, 1, 1)), sg.pose(40, 0, 0))]))
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        away = sg.pose(yaw=3), "shows no surface in the fan"
-        for pose, why in ((np.eye(4), "beyond range_max_m = 20"), away):
-            draw(host, sensor, pose)
-            with pytest.warns(UserWarning, match=f"no echo came back: .*{why}") as caught:
-                assert not sensor.finish().intensity.any()
-            assert caught[0].filename == __file__
+    away = sg.pose(yaw=3), "shows no surface in the fan"
+    for pose, why in ((np.eye(4), "beyond range_max_m = 20"), away):
+        draw(host, sensor, pose)
+        with pytest.warns(UserWarning, match=f"no echo came back: .*{why}") as caught:
+            assert not sensor.finish().intensity.any()
+        assert caught[0].filename == __file__
 
 
-def test_objects_of_another_context_are_released_later(context):
+def test_objects_of_another_context_are_released_later(host, context):
     """Objects of a closed or deleted sensor are released at the next use of any sensor in their context."""
-    host, plain, was = gl_host.Program(scene_of()), host_state.GL(), egl.current()
+    plain, was = host_state.GL(), egl.current()
     before = host_state.objects(plain)
     closed, forgotten = (embed.Sensor(SONAR, sampling=SAMPLING) for _ in range(2))
     for sensor in (closed, forgotten):
@@ -612,16 +588,14 @@ def test_more_samples_than_the_driver_supports(monkeypatch):
     assert host_state.objects(plain) == before
 
 
-def test_sectors_in_another_thread_raise_an_error():
-    scene = scene_of()
-    host, true = gl_host.Program(scene), simulate(scene)
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        (sector,) = sensor.sectors(POSE)
-        for call in (lambda: sensor.sectors(POSE), sector.__enter__):
-            (message,) = in_another_thread(call)
-            assert "must be used in the thread" in message and "'other'" in message
-        draw(host, sensor)
-        assert difference(sensor.finish(), true) < ROUNDING
+def test_sectors_in_another_thread_raise_an_error(host, sensor):
+    true = simulate(SCENE)
+    (sector,) = sensor.sectors(POSE)
+    for call in (lambda: sensor.sectors(POSE), sector.__enter__):
+        (message,) = in_another_thread(call)
+        assert "must be used in the thread" in message and "'other'" in message
+    draw(host, sensor)
+    assert difference(sensor.finish(), true) < ROUNDING
 
 
 def test_invalid_arguments_of_a_sensor_raise_errors():
@@ -651,46 +625,42 @@ def test_a_missing_context_raises_an_error():
             with pytest.raises(sg.Error, match="an OpenGL context must be current in this thread"):
                 sensor.sectors(POSE)
         with pytest.raises(sg.Error, match="an OpenGL context must be current in this thread"):
-            sg.Simulator(scene_of(), SONAR, context="current")
+            sg.Simulator(SCENE, SONAR, context="current")
     finally:
         library.eglMakeCurrent(*was)
 
 
 @pytest.mark.parametrize("error", ["INVALID_ENUM", "INVALID_OPERATION"])
-def test_an_opengl_error_of_the_host_stays_pending(error):
+def test_an_opengl_error_of_the_host_stays_pending(host, sensor, error):
     """The error is still pending after the block."""
-    scene = scene_of()
-    host, plain = gl_host.Program(scene), host_state.GL()
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        (sector,) = sensor.sectors(POSE)
-        with sector:
-            host.draw("sonar", sector.view, sector.projection, sector.lattice)
-            plain.make_error(error)
-        assert plain.errors() == [error]
-        sensor.finish()
-        with pytest.raises(KeyError), sector:
-            plain.make_error(error)
-            raise KeyError
-        assert plain.errors() == [error]
+    plain = host_state.GL()
+    (sector,) = sensor.sectors(POSE)
+    with sector:
+        host.draw("sonar", sector.view, sector.projection, sector.lattice)
+        plain.make_error(error)
+    assert plain.errors() == [error]
+    sensor.finish()
+    with pytest.raises(KeyError), sector:
+        plain.make_error(error)
+        raise KeyError
+    assert plain.errors() == [error]
 
 
-def test_a_host_that_changes_the_context_while_it_draws(context):
+def test_a_host_that_changes_the_context_while_it_draws(host, sensor, context):
     """If another context is current at the end of a block, it stays unchanged; the sonar goes on with the first."""
-    scene = scene_of()
-    host, true = gl_host.Program(scene), simulate(scene)
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        (sector,) = sensor.sectors(POSE)
-        other = None
-        was = egl.current()
-        with pytest.raises(sg.Error, match="must be current when its sonar is used"), sector:
-            other = gl_host.make_context()
-            GL.glViewport(5, 6, 7, 8)
-        assert list(GL.glGetIntegerv(GL.GL_VIEWPORT)) == [5, 6, 7, 8]
-        egl.library().eglMakeCurrent(*was)
-        draw(host, sensor)
-        assert difference(sensor.finish(), true) < ROUNDING
-        other.release()
-        egl.library().eglMakeCurrent(*was)
+    true = simulate(SCENE)
+    (sector,) = sensor.sectors(POSE)
+    other = None
+    was = egl.current()
+    with pytest.raises(sg.Error, match="must be current when its sonar is used"), sector:
+        other = gl_host.make_context()
+        GL.glViewport(5, 6, 7, 8)
+    assert list(GL.glGetIntegerv(GL.GL_VIEWPORT)) == [5, 6, 7, 8]
+    egl.library().eglMakeCurrent(*was)
+    draw(host, sensor)
+    assert difference(sensor.finish(), true) < ROUNDING
+    other.release()
+    egl.library().eglMakeCurrent(*was)
 
 
 def leave_by_exception(host, sensor):
@@ -712,9 +682,9 @@ def leave_other_projections(host, sensor):
 
 
 @pytest.mark.parametrize("use", [draw, leave_by_exception, leave_undrawn, leave_other_projections])
-def test_a_closed_sensor_leaves_no_objects(use):
-    host, plain = gl_host.Program(scene_of()), host_state.GL()
-    sonar = sg.Sonar("wide", 900e3, 128, 256, 130.0, 20.0, 1.0, 0.5, 20.0)
+def test_a_closed_sensor_leaves_no_objects(host, use):
+    plain = host_state.GL()
+    sonar = replace(SONAR, azimuth_fov_deg=130.0)
     before = host_state.objects(plain)
     sensor = embed.Sensor(sonar, sampling=SAMPLING)
     use(host, sensor)
@@ -728,8 +698,8 @@ def test_a_closed_sensor_leaves_no_objects(use):
             call()
 
 
-def test_a_sensor_must_be_closed_in_its_own_thread():
-    host, plain = gl_host.Program(scene_of()), host_state.GL()
+def test_a_sensor_must_be_closed_in_its_own_thread(host):
+    plain = host_state.GL()
     before = host_state.objects(plain)
     sensor = embed.Sensor(SONAR, sampling=SAMPLING)
     draw(host, sensor)
@@ -742,7 +712,7 @@ def test_a_sensor_must_be_closed_in_its_own_thread():
 def test_a_host_that_ends_before_the_sensor():
     """Its objects end with it; a later context, even at the same address, keeps its own objects."""
     context = gl_host.make_context()
-    host = gl_host.Program(scene_of())
+    host = gl_host.Program(SCENE)
     sensor = embed.Sensor(SONAR, sampling=SAMPLING)
     draw(host, sensor)
     context.release()
@@ -760,7 +730,7 @@ def test_a_host_that_ends_before_the_sensor():
 @pytest.mark.slow
 def test_many_pings_do_not_leak():
     """1000 pings of host-drawn sectors and of textures leave no GL objects and no memory."""
-    host, plain = gl_host.Program(plain_scene()), host_state.GL()
+    host, plain = gl_host.Program(PLAIN), host_state.GL()
     camera = sg.Camera.of_fov(200, 90, fov_x_rad=1.0)
     view, projection, width, height, _ = view_of(camera)
     drawn = host.textures(view, projection, width, height)
@@ -782,30 +752,26 @@ def test_many_pings_do_not_leak():
         assert host_state.objects(plain) == objects
 
 
-def test_too_large_body_numbers_raise_an_error():
-    host = gl_host.Program(scene_of())
+def test_too_large_body_numbers_raise_an_error(host, sensor):
     host.programs["sonar"] = sonar_program("body, lobe", "body + 70000u, lobe")
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        draw(host, sensor)
-        assert sensor.finish().intensity.any()
-        with pytest.raises(sg.Error, match=r"numbers of bodies must lie in 1\.\.65534"):
-            sensor.finish(labels=True)
+    draw(host, sensor)
+    assert sensor.finish().intensity.any()
+    with pytest.raises(sg.Error, match=r"numbers of bodies must lie in 1\.\.65534"):
+        sensor.finish(labels=True)
 
 
-def test_a_host_that_draws_elsewhere_gets_advice():
+def test_a_host_that_draws_elsewhere_gets_advice(host, sensor):
     """A host that binds its own framebuffer inside the block, and one with a wrong matrix, get advice."""
-    host = gl_host.Program(scene_of())
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        (sector,) = sensor.sectors(POSE)
-        with sector:
-            host.textures(sector.view, sector.projection, 64, 64)
-        with pytest.warns(UserWarning, match="no echo .*; another framebuffer was bound as a block ended"):
-            sensor.finish()
-        (sector,) = sensor.sectors(POSE)
-        with sector:
-            host.draw("sonar", sector.view, sector.projection.T, sector.lattice)
-        with pytest.warns(UserWarning, match="no echo .*; gl_Position must be projection"):
-            sensor.finish()
+    (sector,) = sensor.sectors(POSE)
+    with sector:
+        host.textures(sector.view, sector.projection, 64, 64)
+    with pytest.warns(UserWarning, match="no echo .*; another framebuffer was bound as a block ended"):
+        sensor.finish()
+    (sector,) = sensor.sectors(POSE)
+    with sector:
+        host.draw("sonar", sector.view, sector.projection.T, sector.lattice)
+    with pytest.warns(UserWarning, match="no echo .*; gl_Position must be projection"):
+        sensor.finish()
 
 
 def test_names_of_a_host_s_shader_do_not_clash_with_ours():
@@ -818,35 +784,30 @@ def test_names_of_a_host_s_shader_do_not_clash_with_ours():
     assert gl_host.make_program(gl_host.VERTEX, text)
 
 
-def test_sectors_of_two_poses_are_kept_apart():
-    scene = scene_of()
-    host = gl_host.Program(scene)
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        (first,), (second,) = sensor.sectors(POSE), sensor.sectors(np.eye(4))
-        for sector in (first, second):
-            with sector:
-                host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
-        ping = sensor.finish()
-        assert difference(ping, simulate(scene, pose=np.eye(4))) < SNAPPING
-        (third,) = sensor.sectors(POSE)
-        with first:  # a sector of an earlier pose
-            host.draw("sonar", first.view, first.projection, first.lattice)
-        with pytest.raises(sg.Error, match="got 0 of 1"):
-            sensor.finish()
-        assert np.array_equal(third.view, first.view)
+def test_sectors_of_two_poses_are_kept_apart(host, sensor):
+    (first,), (second,) = sensor.sectors(POSE), sensor.sectors(np.eye(4))
+    for sector in (first, second):
+        with sector:
+            host.draw("sonar", sector.view, sector.projection, sector.lattice, lobes=True)
+    ping = sensor.finish()
+    assert difference(ping, simulate(SCENE, pose=np.eye(4))) < SNAPPING
+    (third,) = sensor.sectors(POSE)
+    with first:  # a sector of an earlier pose
+        host.draw("sonar", first.view, first.projection, first.lattice)
+    with pytest.raises(sg.Error, match="got 0 of 1"):
+        sensor.finish()
+    assert np.array_equal(third.view, first.view)
 
 
-def test_a_texture_with_an_image_of_reflectivity():
-    scene = plain_scene()
-    host, camera = gl_host.Program(scene), sg.Camera.of_fov(300, 130, fov_x_rad=1.2)
+def test_a_texture_with_an_image_of_reflectivity(sensor):
+    host, camera = gl_host.Program(PLAIN), sg.Camera.of_fov(300, 130, fov_x_rad=1.2)
     view, projection, width, height, _ = view_of(camera)
     drawn = host.textures(view, projection, width, height)
     names = drawn["z-buffer"], projection, POSE
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        one = sensor.ping_from_textures(*names, reflectivity=0.25)
-        image = sensor.ping_from_textures(*names, reflectivity=np.full((height, width), 0.25))
-        upper = np.where(np.arange(height)[:, None] < height // 2, 0.25, 0.0) * np.ones(width)
-        half = sensor.ping_from_textures(*names, reflectivity=upper, labels=True)
+    one = sensor.ping_from_textures(*names, reflectivity=0.25)
+    image = sensor.ping_from_textures(*names, reflectivity=np.full((height, width), 0.25))
+    upper = np.where(np.arange(height)[:, None] < height // 2, 0.25, 0.0) * np.ones(width)
+    half = sensor.ping_from_textures(*names, reflectivity=upper, labels=True)
     assert np.array_equal(one.intensity, image.intensity)
     has_echo = np.isfinite(half.elevation_rad)
     assert has_echo.any() and half.elevation_rad[has_echo].min() > -math.radians(1.0)  # first row on top
@@ -878,19 +839,17 @@ def test_every_z_buffer_becomes_metres(zero_to_one, is_reversed, is_infinite):
         embed.metres_ahead(z_buffer, oblique, zero_to_one)
 
 
-def test_a_host_far_from_the_origin():
+def test_a_host_far_from_the_origin(sensor):
     """At UTM coordinates float32 errs by centimetres, unless the host multiplies the matrices in float64."""
     far = sg.pose(450_000.3, 5_400_000.7, 0)
-    scene = scene_of()
-    moved = sg.Scene([replace(body, pose=far @ body.pose) for body in scene.bodies])
-    host, true = gl_host.Program(moved), simulate(scene)
+    moved = sg.Scene([replace(body, pose=far @ body.pose) for body in SCENE.bodies])
+    host, true = gl_host.Program(moved), simulate(SCENE)
     errors = []
-    with embed.Sensor(SONAR, sampling=SAMPLING) as sensor:
-        for in_double in (False, True):
-            for sector in sensor.sectors(far @ POSE):
-                with sector:
-                    host.draw("sonar", sector.view, sector.projection, sector.lattice, True, in_double)
-            errors.append(difference(sensor.finish(), true))
+    for in_double in (False, True):
+        for sector in sensor.sectors(far @ POSE):
+            with sector:
+                host.draw("sonar", sector.view, sector.projection, sector.lattice, True, in_double)
+        errors.append(difference(sensor.finish(), true))
     assert errors[0] > 0.05
     assert errors[1] < ROUNDING
 
@@ -900,7 +859,7 @@ def test_a_host_that_destroyed_its_current_context(context):
     ended = gl_host.make_context()
     library, was = egl.library(), egl.current()
     library.eglDestroyContext(was[0], was[3])
-    with sg.Simulator(scene_of(), SONAR, None, SAMPLING) as simulator:
+    with sg.Simulator(SCENE, SONAR, None, SAMPLING) as simulator:
         here = simulator.ping(POSE)
         assert egl.current() is None
         there = []
@@ -914,7 +873,7 @@ def test_a_destroyed_context_cannot_be_joined(context):
     ended = gl_host.make_context()
     egl.library().eglDestroyContext(egl.current().display, egl.current().context)
     with pytest.raises(sg.Error, match=r"current in this thread, .* \(got one that was destroyed"):
-        sg.Simulator(scene_of(), SONAR, context="current")
+        sg.Simulator(SCENE, SONAR, context="current")
     assert ended
 
 
@@ -942,14 +901,14 @@ def newest_version():
 )
 def test_contexts_of_any_attributes_can_be_joined(is_newest, more, newest_version):
     """Contexts share objects only where both notify of resets, and where both check for errors."""
-    scene, host = scene_of(), EglHost(newest_version if is_newest else (3, 3), more)
+    host = EglHost(newest_version if is_newest else (3, 3), more)
     current = host.platform()
-    with sg.Simulator(scene, SONAR, None, SAMPLING, context="current") as simulator:
+    with sg.Simulator(SCENE, SONAR, None, SAMPLING, context="current") as simulator:
         joined = simulator.ping(POSE)
         assert host.platform() == current
     assert host.gl.errors() == []
     host.destroy()
-    assert np.array_equal(joined.intensity, simulate(scene).intensity)
+    assert np.array_equal(joined.intensity, simulate(SCENE).intensity)
 
 
 def test_a_context_that_lets_none_join_says_why_and_what_to_do(monkeypatch):
@@ -961,4 +920,4 @@ def test_a_context_that_lets_none_join_says_why_and_what_to_do(monkeypatch):
         r"attributes that ours lacks; make it with version and profile alone, or leave out context='current'\)$"
     )
     with pytest.raises(sg.Error, match=message):
-        sg.Simulator(scene_of(), SONAR, context="current")
+        sg.Simulator(SCENE, SONAR, context="current")

@@ -13,7 +13,7 @@ from sonar_gl.analysis.verify import ping_error
 from sonar_gl.beamform.kernels import range_bins
 from sonar_gl.engine.body_extents import BodyExtents
 from sonar_gl.raster import level_of_detail as detail
-from sonar_gl.raster.cpu.visibility_buffer import lobe_times_range
+from sonar_gl.raster.cpu.kernels.shading import lobe_times_range
 from sonar_gl.raster.opengl import buffers
 from sonar_gl.scene import primitives
 from sonar_gl.scene.materials import material

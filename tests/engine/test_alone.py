@@ -16,15 +16,12 @@ from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.ping import BIN_LABELS
 from sonar_gl.sonar.sampling import ToleranceWarning
+from tests.support.wall_and_rods import row_of_rods, wall
 
 SONAR = sg.Sonar("alone", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
-RODS = [
-    sg.Body(f"rod {y}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * y))
-    for y in range(-9, 10)
-]
-WALL = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8))
 BALL = sg.Body("ball", trimesh.creation.icosphere(3, 0.5), sg.pose(5, 0.5))
-SCENE = sg.Scene([WALL, BALL, *RODS], surface_z_m=3.0)
+ONE_BALL = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
+SCENE = sg.Scene([wall(), BALL, *row_of_rods()], surface_z_m=3.0)
 # of the wall, along it, of the rods, and from aside
 POSES = [sg.pose(yaw=yaw) for yaw in (0.0, 1.57, np.pi, 0.4, 2.9)]
 MORE = {
@@ -86,8 +83,8 @@ def test_the_ping_is_that_of_the_samples_it_states(kind):
 def test_a_hard_view_makes_no_other_ping_finer():
     """A wall with a ball takes the first samples that are tried, before and after the rods, which take more."""
     with sg.Simulator(SCENE, SONAR, tolerance=0.01) as simulator:
-        wall, _, rods, *_ = requests()
-        rows = [make_ping(simulator.run, one).meta["sampling"]["rows"] for one in (wall, rods, wall)]
+        of_wall, _, of_rods, *_ = requests()
+        rows = [make_ping(simulator.run, one).meta["sampling"]["rows"] for one in (of_wall, of_rods, of_wall)]
     assert rows[0] == rows[2] < rows[1]
 
 
@@ -113,7 +110,7 @@ def test_further_views_are_drawn_with_the_one_that_is_tried(monkeypatch):
     monkeypatch.setattr(
         Stage, "draw", lambda stage, *args, **more: states.append(len(args[1])) or real(stage, *args, **more)
     )
-    polished = sg.Scene([WALL, sg.Body("plate", trimesh.creation.box((0.02, 1, 1)), sg.pose(5), "steel")])
+    polished = sg.Scene([wall(), sg.Body("plate", trimesh.creation.box((0.02, 1, 1)), sg.pose(5), "steel")])
     with sg.Simulator(polished, SONAR, tolerance=0.1, acoustics=sg.Acoustics.physical()) as simulator:
         make_ping(simulator.run, PingRequest(sg.pose(), alone=True, noise_parts=True))
     assert states == [2, 1]  # with the lobes, and the coarser view beside
@@ -165,11 +162,10 @@ def test_a_level_that_does_not_fit_takes_the_finest_that_does(monkeypatch):
 def test_a_near_view_does_not_limit_the_samples_of_others(monkeypatch):
     """How many samples fit depends on how much of the fan a body fills: a ball at 0.5 m all of it, at 8 m little."""
     monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)
-    scene = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
     near, far = (PingRequest(sg.pose(x), alone=True) for x in (8.2, 1.0))
 
     def rows_of(*order):
-        with sg.Simulator(scene, SONAR, tolerance=0.002) as simulator, warnings.catch_warnings():
+        with sg.Simulator(ONE_BALL, SONAR, tolerance=0.002) as simulator, warnings.catch_warnings():
             warnings.simplefilter("ignore", ToleranceWarning)  # of the near view
             return [make_ping(simulator.run, one).meta["sampling"]["rows"] for one in order]
 
@@ -180,7 +176,6 @@ def test_a_near_view_does_not_limit_the_samples_of_others(monkeypatch):
 def test_a_choice_that_is_broken_off_leaves_no_limit_of_its_view(monkeypatch):
     """As many samples fit as before it, which pings near the one before may need."""
     monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)
-    scene = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
     real, n_refused = ErrorModel.draw, 0
 
     def draw(model, *args, **more):
@@ -193,7 +188,7 @@ def test_a_choice_that_is_broken_off_leaves_no_limit_of_its_view(monkeypatch):
             n_refused += 1
             raise
 
-    with sg.Simulator(scene, SONAR, tolerance=0.002) as simulator:
+    with sg.Simulator(ONE_BALL, SONAR, tolerance=0.002) as simulator:
         simulator.ping(sg.pose(1.0))
         before = simulator.run.sampler.choice
         monkeypatch.setattr(ErrorModel, "draw", draw)
@@ -209,9 +204,9 @@ def test_memory_is_given_back_where_some_pings_in_a_row_need_far_fewer_samples(m
     monkeypatch.setattr(stage_module, "KEPT_VIEWS", 2)
     monkeypatch.setattr(stage_module, "MUCH_FEWER", 2)
     monkeypatch.setattr(StageCache, "drop_large", lambda _: given_back.append(len(n_samples)))
-    wall, rods, n_samples = POSES[0], POSES[2], []
+    of_wall, of_rods, n_samples = POSES[0], POSES[2], []
     with sg.Simulator(SCENE, SONAR, tolerance=0.01) as simulator:
-        for pose in (rods, wall, rods, rods, wall, wall, wall, rods, wall):
+        for pose in (of_rods, of_wall, of_rods, of_rods, *[of_wall] * 3, of_rods, of_wall):
             ping = make_ping(simulator.run, PingRequest(pose, alone=True))
             stage = simulator.run.stages.stage(sg.Sampling(**ping.meta["sampling"]))
             n_samples.append(stage.fan.n_samples)

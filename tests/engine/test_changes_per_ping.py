@@ -11,6 +11,7 @@ import sonar_gl as sg
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import StageCache
+from tests.support.errors import error_of
 
 SONAR = sg.Sonar("test", 900e3, 48, 160, 60.0, 20.0, 1.5, 0.5, 16.0, bandwidth_hz=5e3)
 SAMPLING = sg.Sampling(2, 30)
@@ -148,9 +149,7 @@ def test_invalid_arguments_raise_errors(it, arguments, message):
         lambda: it.ping(POSES[0], **arguments),
         lambda: list(it.pings(POSES[:1], **{plural[name]: [value]})),
     ):
-        with pytest.raises(sg.Error) as caught:
-            call()
-        assert str(caught.value) == message
+        assert error_of(call) == message
 
 
 def test_kernels_are_warmed_up_once_per_process(monkeypatch):

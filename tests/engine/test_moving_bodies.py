@@ -28,6 +28,7 @@ BALL = trimesh.creation.icosphere(3, 0.5)
 BOX = trimesh.creation.box((0.6, 0.8, 1.0))
 POSE = sg.pose(0.1, 0.2, 0, 0.05, 0.1, -0.1)
 PATCHY = np.linspace(0.1, 1.0, 12)
+CLOSED = "this Simulator is closed; make a new one"
 
 
 def plain(at=None):
@@ -426,8 +427,8 @@ KNOWN = "bodies must be bodies of the scene (got 'diver'; known are plain, smoot
 NO_DICT = 'bodies must be a dict (got list; such as {"diver": sonar_gl.pose(x=5)}, or None for "not there")'
 TURNED = (
     "the pose of body 'plain' must be a rotation and a translation (its 3x3 part scales, shears or reflects; "
+    "scale the mesh instead)"
 )
-TURNED += "scale the mesh instead)"
 
 
 @pytest.mark.parametrize("way", ["ping", "place", "pings"])
@@ -472,10 +473,9 @@ def test_invalid_added_bodies_raise_errors(one_body):
 def test_a_closed_simulator_raises_errors():
     it = simulator([plain()])
     it.close()
-    closed = "this Simulator is closed; make a new one"
-    assert error_of(lambda: it.place({"plain": None})) == closed
-    assert error_of(lambda: it.add(smooth())) == closed
-    assert error_of(lambda: it.ping(POSE, bodies={"plain": None})) == closed
+    assert error_of(it.place, {"plain": None}) == CLOSED
+    assert error_of(it.add, smooth()) == CLOSED
+    assert error_of(it.ping, POSE, bodies={"plain": None}) == CLOSED
 
 
 def test_meshes_are_uploaded_once(monkeypatch, opengl_engine):
@@ -596,10 +596,9 @@ def test_two_sonars_in_one_world(first_closed):
     assert two[1].ping(POSE).meta["bodies"] == ["plain", "smooth", "patchy"]
     two[first_closed].close()
     two[first_closed].close()
-    assert error_of(lambda: two[first_closed].ping(POSE)) == "this Simulator is closed; make a new one"
-    assert error_of(lambda: two[first_closed].scene) == "this Simulator is closed; make a new one"
-    third = error_of(lambda: sg.Simulator(two[first_closed], OTHER))
-    assert third == "this Simulator is closed; make a new one"
+    assert error_of(two[first_closed].ping, POSE) == CLOSED
+    assert error_of(lambda: two[first_closed].scene) == CLOSED
+    assert error_of(sg.Simulator, two[first_closed], OTHER) == CLOSED
     rest = two[1 - first_closed]
     again = (fresh, alone_of_other)[1 - first_closed](left)
     check_same(rest.ping(POSE, labels=True), again, [2, 3])
@@ -607,7 +606,7 @@ def test_two_sonars_in_one_world(first_closed):
         check_same(it.ping(POSE, labels=True), alone_of_other(left), [2, 3])
     check_same(rest.ping(POSE, labels=True), again, [2, 3])
     rest.close()
-    assert error_of(lambda: rest.ping(POSE)) == "this Simulator is closed; make a new one"
+    assert error_of(rest.ping, POSE) == CLOSED
 
 
 def test_deleting_one_sonar_does_not_affect_the_other():

@@ -15,21 +15,16 @@ from sonar_gl.engine.error_model import ErrorModel
 from sonar_gl.engine.stage import Stage, StageCache
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
 from sonar_gl.sonar.sampling import ToleranceWarning
+from tests.support.wall_and_rods import row_of_rods, wall
 
 SONAR = sg.Sonar("moving", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 20.0)
 IDEAL = sg.Acoustics.ideal()
 TOLERANCE = 0.018
 N = 240
-
-
-def scene():
-    """A floor with a wall ahead, and behind it a row of rods, which need finer samples."""
-    rods = [
-        sg.Body(f"rod {k}", trimesh.creation.cylinder(0.02, 3.0, sections=16), sg.pose(-8, 0.3 * k))
-        for k in range(-9, 10)
-    ]
-    floor = sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -2.5), 0.2)
-    return sg.Scene([sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(8)), floor, *rods])
+FLOOR = sg.Body("floor", trimesh.creation.box((80, 80, 1)), sg.pose(0, 0, -2.5), 0.2)
+SCENE = sg.Scene([wall(), FLOOR, *row_of_rods()])
+BALL = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
+APPROACH = [sg.pose(0.4 * k) for k in range(18)]
 
 
 def poses(n=N):
@@ -52,7 +47,7 @@ def record_costs(monkeypatch):
 def swim(monkeypatch):
     """Return the cost, the error estimate and the rows of each ping."""
     out, costs = [], record_costs(monkeypatch)
-    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+    with sg.Simulator(SCENE, SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
         for pose in (*poses(), *[np.eye(4)] * 60):  # and stay
             costs.clear()
             ping = simulator.ping(pose)
@@ -130,7 +125,7 @@ def test_pings_that_wait_for_a_check_have_made_what_it_needs(monkeypatch):
     monkeypatch.setattr(StageCache, "make", noted)
     monkeypatch.setattr(ErrorModel, "judge", checked)
     n_waiting, n_late_checks = 0, 0
-    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+    with sg.Simulator(SCENE, SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
         simulator.ping(np.eye(4))
         for pose in poses():
             checks.clear()
@@ -152,7 +147,7 @@ def test_the_stage_of_samples_that_are_not_checked_at_once_is_made_by_the_ping_t
     checks, judge = [], ErrorModel.judge
     monkeypatch.setattr(ErrorModel, "judge", lambda *arguments: checks.append(0) or judge(*arguments))
     counts = []
-    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+    with sg.Simulator(SCENE, SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
         simulator.ping(np.eye(4))  # searched
         for pose in poses():
             made.clear()
@@ -169,7 +164,7 @@ def test_the_stage_of_samples_that_are_not_checked_at_once_is_made_by_the_ping_t
 def test_an_estimate_is_of_the_samples_of_the_ping_or_of_coarser_ones_and_then_above_the_tolerance():
     """Finer samples may wait for their check; the first ping with coarser ones is checked, since it costs less."""
     n_finer, rows = 0, []
-    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+    with sg.Simulator(SCENE, SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
         for pose in poses():
             ping, plan = simulator.ping(pose), simulator.run.sampler.plan
             rows.append(ping.meta["sampling"]["rows"])
@@ -185,9 +180,9 @@ def test_an_estimate_is_of_the_samples_of_the_ping_or_of_coarser_ones_and_then_a
 @pytest.mark.parametrize("labels", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_sequences_are_the_pings_of_single_calls_to_the_bit(labels):
     """Pings that were started before a check changed the samples are made again."""
-    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+    with sg.Simulator(SCENE, SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
         single = [simulator.ping(pose, labels=labels) for pose in poses(80)]
-    with sg.Simulator(scene(), SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
+    with sg.Simulator(SCENE, SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
         together = list(simulator.pings(poses(80), labels=labels))
     assert len({tuple(ping.meta["sampling"].values()) for ping in single}) > 3
     for one, other in zip(together, single, strict=True):
@@ -199,12 +194,11 @@ def test_sequences_are_the_pings_of_single_calls_to_the_bit(labels):
 @pytest.mark.parametrize("way", ["ping", "pings"])
 def test_samples_get_coarser_where_more_do_not_fit(monkeypatch, way):
     """A ball fills more and more of a window of samples as the sonar comes near."""
-    ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
-    approach, rows = [sg.pose(0.4 * k) for k in range(18)], []
+    rows = []
     for most in (MAX_CHOSEN_SAMPLES, 2000):
         monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", most)
-        with sg.Simulator(ball, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
-            pings = simulator.pings(approach) if way == "pings" else map(simulator.ping, approach)
+        with sg.Simulator(BALL, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
+            pings = simulator.pings(APPROACH) if way == "pings" else map(simulator.ping, APPROACH)
             rows.append([ping.meta["sampling"]["rows"] for ping in pings])
     assert any(few < many for many, few in zip(*rows, strict=True))
 
@@ -212,12 +206,10 @@ def test_samples_get_coarser_where_more_do_not_fit(monkeypatch, way):
 def test_planned_samples_fit_in_all_planned_pings(monkeypatch):
     """Far from a ball many samples fit, and were planned; near it, where it fills the fan, they ended the pings."""
     monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 2000)
-    ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
-    approach = [sg.pose(0.4 * k) for k in range(18)]
-    with sg.Simulator(ball, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
+    with sg.Simulator(BALL, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
         with pytest.warns(ToleranceWarning) as warned:
-            plan = simulator.plan(approach)
-        pings = [simulator.ping(pose) for pose in approach]
+            plan = simulator.plan(APPROACH)
+        pings = [simulator.ping(pose) for pose in APPROACH]
     assert len(warned) == 1 and not plan.met
     assert {ping.meta["sampling"]["rows"] for ping in pings} == {plan.sampling.rows}
     assert {ping.error_estimate for ping in pings} == {plan.bound}
@@ -226,8 +218,7 @@ def test_planned_samples_fit_in_all_planned_pings(monkeypatch):
 @pytest.mark.parametrize("way", ["ping", "pings"])
 def test_planned_samples_that_do_not_fit_at_another_pose_are_an_error_that_names_the_plan(monkeypatch, way):
     monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 2000)
-    ball = sg.Scene([sg.Body("ball", trimesh.creation.icosphere(4, 0.3), sg.pose(9))])
-    with sg.Simulator(ball, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
+    with sg.Simulator(BALL, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
         plan = simulator.plan([sg.pose(0)])
         with pytest.raises(
             SampleLimitError, match=r"planned samples must fit .* no more than 2000 .* plan for this"

@@ -35,8 +35,10 @@ pytestmark = pytest.mark.usefixtures("few_first_rays")
 
 IDEAL = sg.Acoustics.ideal()
 MULTIPATH = replace(IDEAL, multipath="incoherent")
+PHYSICAL = sg.Acoustics.physical(multipath="incoherent")
 SONAR = sg.Sonar("test", 900e3, 32, 200, 40.0, 40.0, 1.25, 0.5, 15.0)
 FINE = sg.Sampling(8, 300)
+WIDE = sg.Sonar("test", 900e3, 24, 150, 80.0, 40.0, 4.0, 1.0, 16.0, bandwidth_hz=8e3)
 
 
 def slab(name, pose, size=200.0, mu=0.5):
@@ -657,11 +659,6 @@ def test_invalid_surfaces_raise_errors(field, value):
         sg.Scene([], **{field: value})
 
 
-def test_an_unknown_kind_of_multipath_raises_an_error():
-    with pytest.raises(sg.Error, match="multipath"):
-        sg.Acoustics.physical(multipath="strong")
-
-
 def test_the_meta_of_a_ping_has_its_multipath(perfect):
     perfect("floor")
     scene, pose, _ = SCENES["floor, rolled and pitched"]
@@ -790,11 +787,10 @@ def test_wide_columns_of_the_sonar_and_of_its_images_are_apart(perfect, monkeypa
     """They lie in the same rows, one after the other: without clearing in between, 3 % of the echo is wrong."""
     scene, pose, reflectors = SCENES["tank"]
     perfect(*reflectors)
-    sonar, acoustics = sg.load_sonar("p900-45"), sg.Acoustics.physical(multipath="incoherent")
     pings = []
     for columns in (multipath.OWN_WIDE_COLUMNS, 4 * multipath.OWN_WIDE_COLUMNS):
         monkeypatch.setattr(multipath, "OWN_WIDE_COLUMNS", columns)
-        with sg.Simulator(scene, sonar, acoustics, sg.Sampling(2, 80)) as simulator:
+        with sg.Simulator(scene, sg.load_sonar("p900-45"), PHYSICAL, sg.Sampling(2, 80)) as simulator:
             simulator.run.image_sampling.fix(1)
             pings.append(simulator.ping(pose).intensity.astype(np.float64))
     wide, narrow = pings
@@ -837,12 +833,10 @@ def test_it_is_known_how_many_samples_an_image_has_on_what_the_sonar_sees(
 ):
     perfect("floor")
     azimuths_deg = np.linspace(-40, 20, 24).tolist()  # port and starboard differ
-    sonar = sg.Sonar("test", 900e3, 24, 150, 80.0, 40.0, 4.0, 1.0, 16.0, steered=steered)
-    sonar = replace(sonar, beam_azimuths_deg=azimuths_deg)
+    sonar = replace(WIDE, bandwidth_hz=None, steered=steered, beam_azimuths_deg=azimuths_deg)
     x, y, z = place
     scene = sg.Scene([slab("floor", sg.pose(0, 0, -0.5)), ball(x, y, z, radius_m)])
-    acoustics = sg.Acoustics.physical(multipath="incoherent")
-    with sg.Simulator(scene, sonar, acoustics, sg.Sampling(30, 800)) as simulator:
+    with sg.Simulator(scene, sonar, PHYSICAL, sg.Sampling(30, 800)) as simulator:
         _, direct, expected, imaged, *_ = vars(images_of(simulator, sg.pose(0, 0, height_m), 0)).values()
     of_floor, of_ball = expected.samples[1:]
     assert of_floor == 0 < direct.samples[1]  # a plane is not seen in itself
@@ -852,11 +846,9 @@ def test_it_is_known_how_many_samples_an_image_has_on_what_the_sonar_sees(
 
 def test_a_small_body_whose_image_lies_in_the_side_lobes_keeps_its_multipath():
     """With these numbers of rows it had none: samples are coarser there, and the few of weak multipath missed it."""
-    sonar = sg.Sonar("test", 900e3, 24, 150, 80.0, 40.0, 4.0, 1.0, 16.0, bandwidth_hz=8e3)
     scene = sg.Scene([ball(6.0, 1.5, -3, 0.1)], surface_z_m=0.0, surface_roughness_m=0.0)
-    acoustics, pose = sg.Acoustics.physical(multipath="incoherent"), sg.pose(0, 0, -3)
     echo = [
-        float(multipath_echo(scene, pose, acoustics, sonar, sg.Sampling(53.33, rows)).sum())
+        float(multipath_echo(scene, sg.pose(0, 0, -3), PHYSICAL, WIDE, sg.Sampling(53.33, rows)).sum())
         for rows in (491, 504, 569, 673)
     ]
     assert min(echo) > 0.9 * max(echo) > 0  # measured: 4 % apart
@@ -866,15 +858,13 @@ def test_a_small_body_whose_image_lies_in_the_side_lobes_keeps_its_multipath():
 @pytest.mark.parametrize("radius_m", [0.05, 0.1])
 def test_a_small_body_keeps_its_multipath(radius_m):
     """With the samples for weak multipath it was missed at most of these places, and so seemed to have none."""
-    sonar = sg.Sonar("test", 900e3, 24, 150, 80.0, 40.0, 4.0, 1.0, 16.0, bandwidth_hz=8e3)
-    acoustics, pose = sg.Acoustics.physical(multipath="incoherent"), sg.pose(0, 0, -3)
 
     def ratio(x, tolerance):
         scene = sg.Scene([ball(x, 1.5, -3, radius_m)], surface_z_m=0.0, surface_roughness_m=0.0)
         echo = []
-        for one in (acoustics, replace(acoustics, multipath="none")):
-            with sg.Simulator(scene, sonar, one, tolerance=tolerance) as simulator:
-                echo.append(float(simulator.ping(pose).intensity.sum()))
+        for one in (PHYSICAL, replace(PHYSICAL, multipath="none")):
+            with sg.Simulator(scene, WIDE, one, tolerance=tolerance) as simulator:
+                echo.append(float(simulator.ping(sg.pose(0, 0, -3)).intensity.sum()))
         return echo[0] / echo[1]
 
     places = np.linspace(6, 8, 7)
@@ -953,22 +943,18 @@ def test_the_estimate_says_that_a_body_that_echoes_by_way_of_the_surface_alone_h
     assert error > 0.05 and found.error_estimate > 0.05
 
 
+IN_POOL = sg.pose(0, 0, -1.0)
+
+
 def wall_below_a_calm_surface(yaw):
     """Return the scene of a pool with a slanted wall: its multipath is as strong as its direct echo."""
     wall = sg.Body("wall", trimesh.creation.box((0.3, 40.0, 4.0)), sg.pose(6.0, 0.0, -2.0, yaw=yaw), 0.5)
     return sg.Scene([wall], surface_z_m=0.0, surface_roughness_m=0.0)
 
 
-def error_of_ping(scene, pose, sonar, acoustics):
-    """Return the error of a ping and its estimate; the truth is of nine times as many samples."""
-    with sg.Simulator(scene, sonar, acoustics, tolerance=0.01) as simulator:
-        ping = simulator.ping(pose)
-    own = sg.Sampling(**ping.meta["sampling"])
-    many = replace(own, columns_per_beam=3 * own.columns_per_beam, rows=3 * own.rows)
-    with sg.Simulator(scene, sonar, acoustics, many) as simulator:
-        simulator.run.image_sampling.fix(0)
-        truth = simulator.ping(pose).intensity.astype(np.float64)
-    return np.abs(ping.intensity - truth).sum() / truth.sum(), ping.error_estimate
+def nine_times(own):
+    """Return nine times as many samples."""
+    return replace(own, columns_per_beam=3 * own.columns_per_beam, rows=3 * own.rows)
 
 
 POOLS = (
@@ -982,11 +968,13 @@ POOLS = (
 @pytest.mark.parametrize(("name", "yaw"), POOLS)
 def test_the_tolerance_covers_the_multipath_of_large_faces(name, yaw):
     """Samples on the wall are many, but its echo lay in wrong bins, unseen: up to seven tolerances of it."""
-    scene, pose = wall_below_a_calm_surface(yaw), sg.pose(0, 0, -1.0)
-    sonar = replace(sg.load_sonar(name), range_max_m=12.0)
-    error, estimate = error_of_ping(scene, pose, sonar, sg.Acoustics.physical(multipath="incoherent"))
-    assert max(error, estimate) <= 0.01
-    assert error < 1.3 * estimate  # the estimate exceeds 19 of 20 errors, not all
+    scene, sonar = wall_below_a_calm_surface(yaw), replace(sg.load_sonar(name), range_max_m=12.0)
+    with sg.Simulator(scene, sonar, PHYSICAL, tolerance=0.01) as simulator:
+        ping = simulator.ping(IN_POOL)
+    many = nine_times(sg.Sampling(**ping.meta["sampling"]))
+    error = error_by_many_samples(ping, scene, sonar, IN_POOL, PHYSICAL, many)
+    assert max(error, ping.error_estimate) <= 0.01
+    assert error < 1.3 * ping.error_estimate  # the estimate exceeds 19 of 20 errors, not all
 
 
 @pytest.mark.parametrize("seed", [20015, 20131])
@@ -1004,10 +992,9 @@ def test_multipath_that_is_sampled_finely_enough_has_an_estimate_within_the_tole
 @pytest.mark.slow
 def test_multipath_that_breaks_the_tolerance_is_warned_of_once_until_it_keeps_it():
     """With four times as many samples as of the direct echo, or those that fit; the estimate alone said so."""
-    scene, acoustics = wall_below_a_calm_surface(-0.6), sg.Acoustics.physical(multipath="incoherent")
-    sonar, pose = replace(sg.load_sonar("oculus-m750d-lf"), range_max_m=12.0), sg.pose(0, 0, -1.0)
-    away = sg.pose(500, 0, -1.0)
-    with sg.Simulator(scene, sonar, acoustics, tolerance=0.001) as simulator:
+    scene, pose, away = wall_below_a_calm_surface(-0.6), IN_POOL, sg.pose(500, 0, -1.0)
+    sonar = replace(sg.load_sonar("oculus-m750d-lf"), range_max_m=12.0)
+    with sg.Simulator(scene, sonar, PHYSICAL, tolerance=0.001) as simulator:
         with pytest.warns(ToleranceWarning, match="by way of planar reflectors, the estimate is") as warned:
             pings = [simulator.ping(pose), simulator.ping(pose), *simulator.pings([pose, pose])]
         assert len(warned) == 1
@@ -1030,9 +1017,8 @@ def test_multipath_whose_finer_samples_are_not_drawn_is_warned_of(monkeypatch, f
         return draw(sources, resolution, *more)
 
     monkeypatch.setattr(pipeline, "draw_images", limited)
-    scene, pose = wall_below_a_calm_surface(-0.6), sg.pose(0, 0, -1.0)
     sonar = replace(sg.load_sonar("aris-1800-lf"), range_max_m=12.0)
-    settings = scene, sonar, sg.Acoustics.physical(multipath="incoherent")
+    settings, pose = (wall_below_a_calm_surface(-0.6), sonar, PHYSICAL), IN_POOL
     with sg.Simulator(*settings, tolerance=0.004) as simulator, warnings.catch_warnings():
         warnings.simplefilter("error", ToleranceWarning)
         for _ in range(2):
@@ -1056,18 +1042,14 @@ def test_an_estimate_of_multipath_just_above_the_tolerance_reads_so(monkeypatch)
 @pytest.mark.slow
 def test_as_the_sonar_moves_the_estimate_covers_multipath():
     """Multipath falls from 1.3 of the direct echo to a hundredth; it erred by up to 3.5 tolerances, unseen."""
-    scene, acoustics = wall_below_a_calm_surface(-0.6), sg.Acoustics.physical(multipath="incoherent")
-    sonar = replace(sg.load_sonar("aris-1800-lf"), range_max_m=12.0)
+    scene, sonar = wall_below_a_calm_surface(-0.6), replace(sg.load_sonar("aris-1800-lf"), range_max_m=12.0)
     path = [sg.pose(0.01 * k, 0, -1.0, pitch=0.01 * k - 0.1) for k in range(2 * CHECK_EVERY + 4)]
-    with sg.Simulator(scene, sonar, acoustics, tolerance=0.01) as simulator:
+    with sg.Simulator(scene, sonar, PHYSICAL, tolerance=0.01) as simulator:
         looked_at = list(zip(path, [simulator.ping(pose) for pose in path], strict=True))[::7]
         own = simulator.sampling
-    many = replace(own, columns_per_beam=3 * own.columns_per_beam, rows=3 * own.rows)
-    with sg.Simulator(scene, sonar, acoustics, many) as simulator:
-        simulator.run.image_sampling.fix(0)
-        for pose, ping in looked_at:
-            truth = simulator.ping(pose).intensity.astype(np.float64)
-            assert np.abs(ping.intensity - truth).sum() / truth.sum() < ping.error_estimate
+    for pose, ping in looked_at:
+        error = error_by_many_samples(ping, scene, sonar, pose, PHYSICAL, nine_times(own))
+        assert error < ping.error_estimate
 
 
 def test_image_sources_of_given_samples_are_no_finer_than_a_sampling_can_be():
@@ -1110,11 +1092,10 @@ def test_multipath_is_compared_again_after_each_check():
 
 def test_multipath_does_not_come_and_go_as_the_sonar_moves():
     """Seven pings had none, then the ratio rose to a half."""
-    sonar = sg.Sonar("test", 900e3, 24, 150, 80.0, 40.0, 4.0, 1.0, 16.0, bandwidth_hz=8e3)
     scene = sg.Scene([ball(6, 1.5, -3, 0.1)], surface_z_m=0.0, surface_roughness_m=0.0)
     path, echo = [sg.pose(-0.05 * k, 0, -3) for k in range(12)], []
     for kind in ("incoherent", "none"):
-        with sg.Simulator(scene, sonar, sg.Acoustics.physical(multipath=kind)) as simulator:
+        with sg.Simulator(scene, WIDE, sg.Acoustics.physical(multipath=kind)) as simulator:
             echo.append([float(ping.intensity.sum()) for ping in simulator.pings(path)])
     ratio = np.divide(*echo)
     assert ratio.min() > 1.15

@@ -5,7 +5,7 @@ import re
 import threading
 import tracemalloc
 import warnings
-from itertools import count, islice
+from itertools import chain, count, islice
 
 import numpy as np
 import pytest
@@ -21,8 +21,9 @@ from sonar_gl.engine.no_echo import MOST_IN_A_ROW, NoEchoWarning
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
 from sonar_gl.engine.stage import KEPT_VIEWS, StageCache
-from sonar_gl.ping import BIN_LABELS
+from tests.support.errors import error_of
 from tests.support.estimates import record_estimates
+from tests.support.same_pings import check_all_same, check_same
 from tests.support.waiting import wait_until
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 60.0, 20.0, 1.5, 0.5, 20.0)
@@ -33,7 +34,6 @@ BODIES = (
     sg.Body("box", trimesh.creation.box((1, 1, 1)), sg.pose(6, 2), 0.8),
     sg.Body("ball", BALL, sg.pose(8, -1), 0.6, np.asarray(BALL.vertices, np.float32) * 2),
 )
-LABELS = (*BIN_LABELS, "body_echo")
 ROUGH_SEA = sg.Water(volume_backscatter_db=-70.0, wind_speed_m_s=10.0)
 FEW_SAMPLES = sequence.FEW_SAMPLES  # as the program has it
 POSES = [sg.pose(0.1 * k, 0.05 * k, 0, 0, 0.01 * k, 0.02 * k) for k in range(11)]
@@ -41,6 +41,14 @@ MOVED = [
     None if k % 3 == 0 else {"box": sg.pose(6, 2 - 0.3 * k), "ball": None if k % 2 else sg.pose(9, 0.1 * k)}
     for k in range(11)
 ]
+
+
+# a near one comes into view where the sonar turns
+ASIDE = (
+    sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2),
+    sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0),
+)
+TURN = [sg.pose(yaw=0.04 * k) for k in range(14)]
 
 
 def simulator(sampling=SAMPLING, bodies=BODIES, **kw):
@@ -60,27 +68,12 @@ def it():
         yield one
 
 
-def check_same(one, other):
-    """Check that all arrays and the meta of two pings are identical."""
-    for name in ("intensity", "azimuth_rad", "range_m", "pose"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    for name in LABELS:
-        a, b = getattr(one, name), getattr(other, name)
-        assert (a is None) == (b is None)
-        if a is not None:
-            np.testing.assert_array_equal(a, b)
-    assert one.meta == other.meta
-    assert one.error_estimate == other.error_estimate
-
-
 @pytest.mark.parametrize("labels", [False, True])
 @pytest.mark.parametrize("n", [1, 3, 4, 5, 8, 11])
 def test_a_sequence_gives_the_pings_of_single_calls(it, n, labels):
     """The numbers of pings are less than a batch, whole batches, and in between."""
     together = list(it.pings(POSES[:n], labels=labels))
-    assert len(together) == n
-    for pose, ping in zip(POSES, together, strict=False):
-        check_same(ping, it.ping(pose, labels=labels))
+    check_all_same(together, (it.ping(pose, labels=labels) for pose in POSES[:n]))
     assert len({ping.intensity.tobytes() for ping in together}) == n
 
 
@@ -96,8 +89,10 @@ def test_noise_depends_on_the_ping_number(it):
 @pytest.mark.parametrize("labels", [False, True])
 def test_bodies_of_each_pose(it, labels):
     together = list(it.pings(POSES, labels=labels, bodies=MOVED))
-    for pose, moved, ping in zip(POSES, MOVED, together, strict=True):
-        check_same(ping, it.ping(pose, labels=labels, bodies=moved))
+    check_all_same(
+        together,
+        (it.ping(pose, labels=labels, bodies=moved) for pose, moved in zip(POSES, MOVED, strict=True)),
+    )
     before = it.ping(POSES[1]).intensity
     assert (before != together[1].intensity).any()
 
@@ -105,16 +100,19 @@ def test_bodies_of_each_pose(it, labels):
 def test_shadows_of_the_bodies_of_each_pose(it):
     """The background of each pose is drawn without the moving bodies."""
     together = list(it.pings(POSES, labels=True, bodies=MOVED, background=["wall"]))
-    for pose, moved, ping in zip(POSES, MOVED, together, strict=True):
-        check_same(ping, it.ping(pose, labels=True, bodies=moved, background=["wall"]))
+    check_all_same(
+        together,
+        (
+            it.ping(pose, labels=True, bodies=moved, background=["wall"])
+            for pose, moved in zip(POSES, MOVED, strict=True)
+        ),
+    )
     assert len({ping.shadow.tobytes() for ping in together}) == len(POSES)
 
 
 def test_pings_from_one_pose_with_bodies_that_move(it):
     together = list(it.pings([POSES[0]] * len(MOVED), bodies=iter(MOVED)))
-    assert len(together) == len(MOVED)
-    for moved, ping in zip(MOVED, together, strict=True):
-        check_same(ping, it.ping(POSES[0], bodies=moved))
+    check_all_same(together, (it.ping(POSES[0], bodies=moved) for moved in MOVED))
 
 
 def test_several_sectors_and_a_larger_image_later():
@@ -127,8 +125,7 @@ def test_several_sectors_and_a_larger_image_later():
     ):
         warnings.simplefilter("ignore")  # far away there is no echo
         together = list(it.pings(poses, labels=True))
-        for pose, ping in zip(poses, together, strict=True):
-            check_same(ping, it.ping(pose, labels=True))
+        check_all_same(together, (it.ping(pose, labels=True) for pose in poses))
     assert together[0].intensity.sum() == 0
     assert together[4].intensity.sum() > 0
 
@@ -152,9 +149,7 @@ def test_no_poses_give_no_pings(it, nothing):
 
 def test_poses_as_one_array(it):
     together = list(it.pings(np.stack(POSES[:3])))
-    for pose, ping in zip(POSES, together, strict=False):
-        check_same(ping, it.ping(pose))
-    assert len(together) == 3
+    check_all_same(together, map(it.ping, POSES[:3]))
 
 
 @pytest.mark.parametrize("stop", [1, 2, 4, 5, 9])
@@ -200,14 +195,10 @@ def test_pings_without_an_echo_are_explained_as_in_single_calls(it):
 def test_invalid_poses_raise_errors():
     with simulator() as it:
         for poses in (np.eye(4), 3, None):
-            with pytest.raises(sg.Error) as caught:
-                list(it.pings(poses))
-            name = type(poses).__name__
-            assert str(caught.value) == f"poses must be several poses (got {name}; make [pose] of one)"
+            why = f"poses must be several poses (got {type(poses).__name__}; make [pose] of one)"
+            assert error_of(lambda poses=poses: list(it.pings(poses))) == why
         it.close()
-        with pytest.raises(sg.Error) as caught:
-            list(it.pings(POSES))
-        assert str(caught.value) == "this Simulator is closed; make a new one"
+        assert error_of(lambda: list(it.pings(POSES))) == "this Simulator is closed; make a new one"
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -216,15 +207,11 @@ def test_pings_after_a_sequence_that_was_left_follow_the_last_one_that_came_out(
     path = [sg.pose(0.01 * k) for k in range(n)] + [sg.pose(0.9)] * 5
     after = sg.pose(-0.5)
 
-    def simulator():
-        return sg.Simulator(sg.Scene(BODIES), SONAR, sg.Acoustics.ideal(), tolerance=0.02)
-
-    with simulator() as alone:
+    with simulator(None, tolerance=0.02) as alone:
         *before, expected = [alone.ping(pose) for pose in [*path[:n], after]]
-    with simulator() as left:
+    with simulator(None, tolerance=0.02) as left:
         pings = left.pings(path)
-        for one, other in zip(before, islice(pings, n), strict=True):
-            check_same(one, other)
+        check_all_same(before, islice(pings, n))
         pings.close()
         check_same(left.ping(after), expected)
 
@@ -232,15 +219,12 @@ def test_pings_after_a_sequence_that_was_left_follow_the_last_one_that_came_out(
 def test_pings_that_an_interrupt_kept_from_being_started_leave_no_history(monkeypatch):
     path, after = [sg.pose(), sg.pose(0.9)], sg.pose(-0.5)
 
-    def simulator():
-        return sg.Simulator(sg.Scene(BODIES), SONAR, sg.Acoustics.ideal(), tolerance=0.02)
-
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    with simulator() as alone:
+    with simulator(None, tolerance=0.02) as alone:
         _, expected = [alone.ping(pose) for pose in [path[0], after]]
-    with simulator() as left:
+    with simulator(None, tolerance=0.02) as left:
         with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
             patched.setattr(Run, "await_job", interrupted)
             list(left.pings(path))
@@ -264,7 +248,7 @@ def test_a_ping_that_fails_as_it_comes_out_leaves_what_it_leaves_in_single_calls
         return call
 
     def pings_after(make):
-        with sg.Simulator(sg.Scene(BODIES), SONAR, sg.Acoustics.ideal(), tolerance=0.02, engine="cpu") as it:
+        with simulator(None, tolerance=0.02, engine="cpu") as it:
             with monkeypatch.context() as patched, pytest.raises(MemoryError):
                 if fails == "report":
                     patched.setattr(Run, "report", failing(Run.report))
@@ -304,18 +288,13 @@ def test_a_body_that_appears_later_gets_finer_samples(first, later):
 
 def test_a_change_of_the_echo_causes_a_new_estimate(monkeypatch):
     """The sonar turns slowly until a near body comes into view: the error is estimated at once."""
-    near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0)
-    far = sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2)
-    poses = [sg.pose(yaw=0.04 * k) for k in range(14)]
-    with simulator(None, [far, near], tolerance=0.05) as it:
-        alone = [it.ping(pose) for pose in poses]
-    with simulator(None, [far, near], tolerance=0.05) as it:
+    with simulator(None, ASIDE, tolerance=0.05) as it:
+        alone = [it.ping(pose) for pose in TURN]
+    with simulator(None, ASIDE, tolerance=0.05) as it:
         estimates = record_estimates(monkeypatch)
-        together = list(it.pings(poses))
+        together = list(it.pings(TURN))
     assert len(estimates) >= 2
-    for one, other in zip(together, alone, strict=True):
-        np.testing.assert_array_equal(one.intensity, other.intensity)
-        assert one.error_estimate == other.error_estimate
+    check_all_same(together, alone)
 
 
 @pytest.mark.parametrize("good", [0, 3, 4, 9, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 6, 8))])
@@ -343,10 +322,8 @@ def test_an_error_in_the_poses_is_raised_in_order(good, way):
 
 def test_the_simulator_is_not_locked_between_pings_of_a_sequence():
     """A single ping between those of a sequence does not block; a lock held over a yield would."""
-    near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0)
-    far = sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2)
-    with simulator(None, [far, near], tolerance=0.05) as it:
-        for _ in it.pings([sg.pose(yaw=0.04 * k) for k in range(14)]):
+    with simulator(None, ASIDE, tolerance=0.05) as it:
+        for _ in it.pings(TURN):
             it.ping(POSES[0])
 
 
@@ -370,8 +347,7 @@ def test_two_interleaved_sequences(it):
 @pytest.mark.parametrize("labels", [False, True])
 def test_a_single_ping_after_each_of_a_sequence(it, labels):
     """Single pings do not overwrite the images of a sequence in progress."""
-    for pose, ping in zip(POSES, it.pings(POSES, labels=labels), strict=True):
-        check_same(ping, it.ping(pose, labels=labels))
+    check_all_same(it.pings(POSES, labels=labels), (it.ping(pose, labels=labels) for pose in POSES))
 
 
 def test_pings_from_another_thread_during_a_sequence(it):
@@ -386,24 +362,20 @@ def test_pings_from_another_thread_during_a_sequence(it):
     thread.start()
     try:
         for _ in range(3):
-            for ping, other in zip(it.pings(POSES, labels=True), expected, strict=True):
-                check_same(ping, other)
+            check_all_same(it.pings(POSES, labels=True), expected)
     finally:
         stop.set()
         thread.join()
     assert len(found) > 2
-    for ping in found:
-        check_same(ping, expected[4])
+    check_all_same(found, [expected[4]] * len(found))
 
 
 def test_interleaved_sequences_of_two_sonars(it):
     other = sg.Sonar("other", 450e3, 32, 100, 90.0, 15.0, 3.0, 0.5, 15.0)
     with sg.Simulator(it, other, sg.Acoustics.ideal(), SAMPLING) as second:
-        expected = [(it.ping(pose, labels=True), second.ping(pose, labels=True)) for pose in POSES]
+        expected = [sonar.ping(pose, labels=True) for pose in POSES for sonar in (it, second)]
         pairs = zip(it.pings(POSES, labels=True), second.pings(POSES, labels=True), strict=True)
-        for (one, two), (first, following) in zip(pairs, expected, strict=True):
-            check_same(one, first)
-            check_same(two, following)
+        check_all_same(chain.from_iterable(pairs), expected)
 
 
 def test_a_body_added_during_a_sequence_is_in_later_pings():
@@ -440,8 +412,7 @@ def test_pings_know_the_bodies_of_their_poses_whoever_makes_them(monkeypatch):
                     it.add(BODIES[2])
 
     by_threads, by_the_caller = list(pings(0)), list(pings(math.inf))
-    for one, other in zip(by_threads, by_the_caller, strict=True):
-        check_same(one, other)
+    check_all_same(by_threads, by_the_caller)
     assert {len(ping.meta["bodies"]) for ping in by_threads[3:]} == {2, 3}
 
 
@@ -483,8 +454,7 @@ def test_the_poses_may_come_from_a_generator_that_uses_the_simulator(it):
             assert it.ping(pose).intensity.any()
             yield pose
 
-    for ping, single in zip(it.pings(poses(), labels=True), expected, strict=True):
-        check_same(ping, single)
+    check_all_same(it.pings(poses(), labels=True), expected)
 
 
 @pytest.mark.parametrize("change", ["place", "add"])
@@ -587,9 +557,7 @@ def test_a_call_in_the_middle_of_a_ping_of_a_sequence_raises_an_error(it, monkey
 
     def receive_and_call(drawn):
         if threading.current_thread() is threading.main_thread():
-            with pytest.raises(sg.Error) as caught:
-                calls[what]()
-            messages.append(str(caught.value))
+            messages.append(error_of(calls[what]))
         return receive(drawn)
 
     for module in (ping_worker, pipeline, sequence):
@@ -627,10 +595,8 @@ def test_an_interrupt_while_pings_are_handed_over_leaves_later_pings_right(it, m
 
 def test_a_ping_of_another_thread_in_between_does_not_change_the_estimate(monkeypatch):
     """What a ping reports is taken while it holds the lock."""
-    near = sg.Body("near", trimesh.creation.box((0.1, 2, 2)), sg.pose(3, 3.0), 1.0)
-    far = sg.Body("far", trimesh.creation.box((1, 6, 6)), sg.pose(15), 0.2)
     assemble = pipeline.assemble
-    with simulator(None, [far, near], tolerance=0.05) as it:
+    with simulator(None, ASIDE, tolerance=0.05) as it:
         expected = it.ping(POSES[0]).error_estimate
         here = threading.current_thread()
 
@@ -679,8 +645,7 @@ def test_samples_do_not_flicker_where_they_change_within_a_batch(step_rad):
         together = list(it.pings(poses))
     rows = [ping.meta["sampling"]["rows"] for ping in together]
     assert rows == sorted(rows) and rows[0] < rows[-1]
-    for one, other in zip(together, single, strict=True):
-        np.testing.assert_array_equal(one.intensity, other.intensity)
+    check_all_same(together, single)
 
 
 @pytest.mark.slow
@@ -720,9 +685,7 @@ def test_closing_the_simulator_ends_a_sequence_with_an_error():
     pings = it.pings(POSES[k % 11] for k in count())
     next(pings)
     it.close()
-    with pytest.raises(sg.Error) as caught:
-        list(pings)
-    assert str(caught.value) == "this Simulator is closed; make a new one"
+    assert error_of(list, pings) == "this Simulator is closed; make a new one"
     with simulator() as another:
         assert another.ping(POSES[0]).intensity.any()
 
@@ -835,8 +798,7 @@ def test_image_sources_are_sampled_as_in_single_calls(step_m, tolerance):
     for many in (True, False):
         with sg.Simulator(sg.Scene(bodies), SONAR, acoustics, tolerance=tolerance, engine="cpu") as it:
             runs.append(list(it.pings(poses) if many else map(it.ping, poses)))
-    for one, other in zip(*runs, strict=True):
-        check_same(one, other)
+    check_all_same(*runs)
 
 
 def test_pings_that_nobody_took_change_no_later_one():
@@ -849,8 +811,7 @@ def test_pings_that_nobody_took_change_no_later_one():
         found = [it.ping(pose) for pose in FAR_AND_NEAR[3:5]]
     with sg.Simulator(round_about(), SONAR, sg.Acoustics.ideal(), tolerance=0.05, engine="cpu") as it:
         *_, one, other = [it.ping(pose) for pose in (*FAR_AND_NEAR[:2], *FAR_AND_NEAR[3:5])]
-    for ping, expected in zip(found, (one, other), strict=True):
-        check_same(ping, expected)
+    check_all_same(found, (one, other))
 
 
 def test_a_body_that_another_simulator_adds_waits_for_the_pings_that_are_being_made(monkeypatch):
@@ -884,9 +845,7 @@ def test_a_body_that_another_simulator_adds_in_the_middle_of_a_ping_raises_an_er
 
         def receive_and_add(drawn):
             if threading.current_thread() is threading.main_thread():
-                with pytest.raises(sg.Error) as caught:
-                    other.add(sg.Body(f"more {len(messages)}", BALL, sg.pose(4)))
-                messages.append(str(caught.value))
+                messages.append(error_of(other.add, sg.Body(f"more {len(messages)}", BALL, sg.pose(4))))
             return receive(drawn)
 
         for module in (ping_worker, pipeline, sequence):
@@ -949,8 +908,10 @@ def handed_over(monkeypatch):
 def test_small_pings_are_those_of_single_calls_and_need_no_other_thread(engine, handed_over, monkeypatch):
     monkeypatch.setattr(sequence, "FEW_SAMPLES", FEW_SAMPLES)
     with simulator(engine=engine) as it:
-        for pose, moved, ping in zip(POSES, MOVED, it.pings(POSES, bodies=MOVED), strict=True):
-            check_same(ping, it.ping(pose, bodies=moved))
+        check_all_same(
+            it.pings(POSES, bodies=MOVED),
+            (it.ping(pose, bodies=moved) for pose, moved in zip(POSES, MOVED, strict=True)),
+        )
     assert handed_over == []
 
 
@@ -971,8 +932,7 @@ def test_pings_that_become_small_and_large_again_are_those_of_single_calls(hande
     with simulator(engine="cpu") as it, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of pings without an echo
         expected = [it.ping(pose) for pose in path]
-        for ping, other in zip(it.pings(path), expected, strict=True):
-            check_same(ping, other)
+        check_all_same(it.pings(path), expected)
     assert set(handed_over) >= {*range(1, 7), *range(19, len(path))}  # a large one before each of them
     assert not {0, *range(12, 19)} & set(
         handed_over
@@ -1024,8 +984,7 @@ def test_requests_are_taken_as_far_ahead_whoever_makes_the_pings(monkeypatch):
 def test_one_core_has_no_thread_make_pings(handed_over, monkeypatch):
     monkeypatch.setattr(sequence, "n_threads", lambda: 1)
     with simulator(engine="cpu") as it:
-        for pose, ping in zip(POSES, it.pings(POSES, labels=True), strict=True):
-            check_same(ping, it.ping(pose, labels=True))
+        check_all_same(it.pings(POSES, labels=True), (it.ping(pose, labels=True) for pose in POSES))
     assert handed_over == []
 
 
@@ -1052,8 +1011,7 @@ def test_the_caller_makes_pings_while_it_waits_for_the_first(it, monkeypatch):
 
     monkeypatch.setattr(ping_worker, "receive", wait_for_the_caller)
     monkeypatch.setattr(sequence, "JobThreads", Waiting)
-    for ping, other in zip(it.pings(POSES), expected, strict=True):
-        check_same(ping, other)
+    check_all_same(it.pings(POSES), expected)
     assert all(were_made)
 
 

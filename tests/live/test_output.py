@@ -86,12 +86,19 @@ def test_saved_gray_pictures_hold_16_bits(session, form):
         session.change(colormap="copper")
 
 
-def test_command_lines_name_the_scenes_options_and_the_users_sonar(scene, tmp_path):
-    (tmp_path / "mine.toml").write_text(
+@pytest.fixture
+def sonar_file(tmp_path):
+    """A file of a sonar of the user's own."""
+    path = tmp_path / "mine.toml"
+    path.write_text(
         "frequency_hz=9e5\nn_beams=32\nn_bins=64\nazimuth_fov_deg=30.0\nelevation_fov_deg=20.0\nbeam_width_deg=1.0\n"
         "range_min_m=0.5\nrange_max_m=20.0\n"
     )
-    text = str(tmp_path / "mine.toml")
+    return path
+
+
+def test_command_lines_name_the_scenes_options_and_the_users_sonar(scene, sonar_file):
+    text = str(sonar_file)
     source = SceneSource("pylon", ("a b",), True, ("box",), (), -1.5, text, load_sonar(text))
     with LiveSession(scene, LiveSettings(text, range_m=10.0), START, source=source) as session:
         line = session.output.command_line()
@@ -102,19 +109,14 @@ def test_command_lines_name_the_scenes_options_and_the_users_sonar(scene, tmp_pa
     assert line.endswith("--pose '0.123457 0.2 -5 0 0.2 0.1'")
 
 
-def test_a_field_that_the_users_text_changes_is_named_once(scene, tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text(
-        "frequency_hz=9e5\nn_beams=32\nn_bins=64\nazimuth_fov_deg=30.0\nelevation_fov_deg=20.0\nbeam_width_deg=1.0\n"
-        "range_min_m=0.5\nrange_max_m=20.0\n"
-    )
-    text = f"{path},n_bins=128, tilt_deg=8"
+def test_a_field_that_the_users_text_changes_is_named_once(scene, sonar_file):
+    text = f"{sonar_file},n_bins=128, tilt_deg=8"
     source = SceneSource("pylon", sonar=text, loaded=load_sonar(text))
     tilted = replace(source.loaded, tilt_deg=5.5)
     with LiveSession(scene, LiveSettings(tilted), START, source=source) as session:
         words = shlex.split(session.output.command_line())
     named = words[words.index("--sonar") + 1]
-    assert named == f"{path},n_bins=128,tilt_deg=5.5" and load_sonar(named) == tilted
+    assert named == f"{sonar_file},n_bins=128,tilt_deg=5.5" and load_sonar(named) == tilted
 
 
 def test_a_preset_whose_name_begins_like_the_users_has_its_own_counts(scene):

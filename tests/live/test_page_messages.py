@@ -47,6 +47,13 @@ def session(scene, tmp_path):
         yield one
 
 
+@contextmanager
+def browsing(session):
+    """Open a page of a session, and a browser that shows it."""
+    with ViewerPage(session, port=0) as page, connected(page.url) as browser, telling(browser):
+        yield browser
+
+
 @pytest.fixture
 def page(session):
     with ViewerPage(session, port=0) as one:
@@ -112,12 +119,7 @@ def test_a_mesh_in_utm_and_the_sonar_before_it_are_shown_in_their_places(tmp_pat
     away = np.array([500_000.0, 4_500_000.25, -30.0])
     wall = trimesh.creation.box((0.2, 4.0, 4.0)).apply_translation(away)
     scene = sg.Scene([sg.Body("wall", wall)], sonar_pose=sg.pose(*away - [5.0, 0.0, 0.0]))
-    with (
-        LiveSession(scene, SETTINGS, folder=tmp_path / "out") as session,
-        ViewerPage(session, port=0) as page,
-        connected(page.url) as browser,
-        telling(browser),
-    ):
+    with LiveSession(scene, SETTINGS, folder=tmp_path / "out") as session, browsing(session) as browser:
         home = wait_until(lambda: browser.nodes.get("/bodies/0", {}).get("position"))
         there = wait_until(lambda: browser.nodes.get("/sonar", {}).get("position"))
         assert np.subtract(home, there).tolist() == [5.0, 0.0, 0.0] and np.abs(home).max() <= 500.0
@@ -556,12 +558,7 @@ def test_the_page_says_that_the_picture_is_of_the_settings_before(session, brows
 
 def test_the_first_ping_has_no_rate(scene):
     settings = SETTINGS.changed(max_rate_hz=0.01)  # there is no second one
-    with (
-        LiveSession(scene, settings) as session,
-        ViewerPage(session, port=0) as page,
-        connected(page.url) as browser,
-        telling(browser),
-    ):
+    with LiveSession(scene, settings) as session, browsing(session) as browser:
         wait_until(lambda: session.frame.number == 1)
         wait_until(lambda: re.match(r"ping rate\s+–\s", words(browser, "ping rate")))
 

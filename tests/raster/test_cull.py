@@ -100,7 +100,7 @@ def any_inside(corners, view):
     return (inside & (np.sqrt(x * x + y * y + z * z) < FAR_M)).any()
 
 
-def poses(n=8):
+def poses(n):
     """Yield poses around the origin; all but one look roughly at it, with roll."""
     rng = np.random.default_rng(4)
     for _ in range(n):

@@ -13,7 +13,7 @@ from sonar_gl.engine import world
 from sonar_gl.raster import cull
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu import engine as cpu
-from sonar_gl.raster.cpu import visibility_buffer as rasteriser
+from sonar_gl.raster.cpu.kernels import tables
 from sonar_gl.raster.cull import SectorGeometry
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import SectorView
@@ -133,7 +133,7 @@ def test_the_rasteriser_reads_the_columns_that_scenes_write():
     box = sg.Body("box", trimesh.creation.box(), reflectivity=0.25, specular=0.5, roughness_rad=0.125)
     meshes = SceneMeshes()
     meshes.add([box])
-    columns = [rasteriser.ROW_REFLECTIVITY, rasteriser.ROW_STRENGTH, rasteriser.ROW_SLOPE]
+    columns = [tables.ROW_REFLECTIVITY, tables.ROW_STRENGTH, tables.ROW_SLOPE]
     assert meshes.rows[0, columns].tolist() == [0.25, 0.5, 0.125]
     assert columns[:2] == [cull.REFLECTIVITY, cull.LOBE]
 

@@ -9,7 +9,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.raster import level_of_detail as detail
-from sonar_gl.raster.cpu.visibility_buffer import MAX_PATCH_VERTICES
+from sonar_gl.raster.cpu.kernels.rasterization import MAX_PATCH_VERTICES
 from sonar_gl.raster.level_of_detail import make_levels
 from sonar_gl.raster.simplify import nth_smallest, simplify, stable_argsort
 from tests.support.processes import python

@@ -29,6 +29,7 @@ from sonar_gl.ros import dds_transport
 from sonar_gl.ros.dds_transport import DdsTransport
 from sonar_gl.ros.messages import message_types
 from sonar_gl.ros.transport import Topic
+from tests.support.errors import error_of
 from tests.support.forks import in_fork
 from tests.support.ros_topics import (
     PROJECTED,
@@ -176,6 +177,17 @@ def dds_name(msgtype):
     return f"{package}::{kind}::dds_::{short}_"
 
 
+@pytest.fixture
+def vendor(fast_dds_peer, domain, name):
+    """Function (read or write, type, path of messages, more) that runs the other vendor's program."""
+
+    def run(way, msgtype, path, *more):
+        arguments = way, domain, f"rt{name}", dds_name(msgtype), int(WAIT_S), path, *more
+        return process(fast_dds_peer, *map(str, arguments))
+
+    return run
+
+
 def messages_of(path):
     """Return the messages in a file of the other vendor's program."""
     data, messages, at = path.read_bytes(), [], 0
@@ -244,14 +256,11 @@ def test_every_field_arrives_in_another_process(open_transport, domain, name, ms
 
 
 @pytest.mark.parametrize("count", [16, pytest.param(50, marks=pytest.mark.slow)])
-def test_whole_pings_arrive_at_another_vendor_byte_for_byte(
-    open_transport, domain, name, fast_dds_peer, tmp_path, count
-):
+def test_whole_pings_arrive_at_another_vendor_byte_for_byte(open_transport, name, vendor, tmp_path, count):
     topic, transport, path = topic_of(name, PROJECTED, depth=100), open_transport(), tmp_path / "messages"
     pings = [projected_image(number) for number in range(4)]
     sent = [message_types().encode(ping) for ping in pings]
-    arguments = "read", domain, f"rt{name}", dds_name(PROJECTED), int(WAIT_S), path, count
-    with process(fast_dds_peer, *map(str, arguments)) as peer:
+    with vendor("read", PROJECTED, path, count) as peer:
         number = 0
         while peer.poll() is None:
             transport.publish(topic, sent[number % len(sent)], 0)
@@ -267,13 +276,12 @@ def test_whole_pings_arrive_at_another_vendor_byte_for_byte(
     ]
 
 
-def test_poses_of_another_vendor_arrive_as_sent(open_transport, domain, name, fast_dds_peer, tmp_path):
+def test_poses_of_another_vendor_arrive_as_sent(open_transport, name, vendor, tmp_path):
     sent = [header_bytes(number, "x" * number) for number in range(50)]
     path, arrived = tmp_path / "messages", []
     write_messages(path, sent)
     open_transport().subscribe(topic_of(name, depth=50), arrived.append)
-    arguments = "write", domain, f"rt{name}", dds_name("std_msgs/msg/Header"), int(WAIT_S), path, 5
-    with process(fast_dds_peer, *map(str, arguments)) as peer:
+    with vendor("write", "std_msgs/msg/Header", path, 5) as peer:
         assert peer.stdout.readline() == "50\n"
     wait_until(lambda: len(arrived) >= 50)
     assert arrived == [received(message) for message in sent]
@@ -453,13 +461,12 @@ def test_a_late_subscriber_receives_the_latched_messages_of_all_writers(open_tra
 
 @pytest.mark.slow
 def test_late_nodes_of_another_vendor_receive_the_last_latched_message(
-    open_transport, domain, name, fast_dds_peer, tmp_path
+    open_transport, name, vendor, tmp_path
 ):
     topic, transport, path = topic_of(name, latched=True), open_transport(), tmp_path / "messages"
     for number in range(3):
         transport.publish(topic, header_bytes(number), 0)
-    arguments = "read", domain, f"rt{name}", dds_name(topic.msgtype), int(WAIT_S), path, 1, "latched"
-    with process(fast_dds_peer, *map(str, arguments)) as peer:
+    with vendor("read", topic.msgtype, path, 1, "latched") as peer:
         assert peer.stdout.readline() == "1\n"
     assert messages_of(path) == [received(header_bytes(2))]
 
@@ -490,13 +497,12 @@ def test_a_transport_that_disappears_and_returns_is_found_again(open_transport, 
 
 
 @pytest.mark.slow
-def test_a_writer_that_dies_and_returns_is_read_again(open_transport, domain, name, fast_dds_peer, tmp_path):
+def test_a_writer_that_dies_and_returns_is_read_again(open_transport, name, vendor, tmp_path):
     path, arrived = tmp_path / "messages", []
     write_messages(path, [header_bytes(1), header_bytes(2)])
     open_transport().subscribe(topic_of(name), arrived.append)
-    arguments = "write", domain, f"rt{name}", dds_name("std_msgs/msg/Header"), int(WAIT_S), path, 5
     for _ in range(2):
-        with process(fast_dds_peer, *map(str, arguments)) as peer:  # dies without farewell
+        with vendor("write", "std_msgs/msg/Header", path, 5) as peer:  # dies without farewell
             assert peer.stdout.readline() == "2\n"
     wait_until(lambda: len(arrived) >= 4)
     assert arrived == [header_bytes(1), header_bytes(2)] * 2
@@ -610,9 +616,7 @@ def fuzzed(dice, message: bytes) -> bytes:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [100, 100_000])
-def test_wrong_messages_of_another_vendor_do_no_harm(
-    open_transport, domain, name, fast_dds_peer, tmp_path, n
-):
+def test_wrong_messages_of_another_vendor_do_no_harm(open_transport, name, vendor, tmp_path, n):
     """The other vendor's writer sends any bytes; right messages between the wrong ones arrive, in order."""
     dice, topic = random.Random(n), topic_of(name, "tf2_msgs/msg/TFMessage", depth=n)
     right = message_types().encode(transforms(3))
@@ -627,9 +631,8 @@ def test_wrong_messages_of_another_vendor_do_no_harm(
     transport = open_transport()
     transport.subscribe(topic, arrived.append)
     own = topic_of(f"{name}_own")
-    arguments = "write", domain, f"rt{name}", dds_name(topic.msgtype), int(WAIT_S), path, 0
     with published_meanwhile(transport, own):
-        with process(fast_dds_peer, *map(str, arguments)) as peer:
+        with vendor("write", topic.msgtype, path, 0) as peer:
             assert peer.stdout.readline() == f"{n}\n"
         wait_until(lambda: numbered[-1] in arrived[-20:])
     kept = set(numbered)
@@ -767,10 +770,9 @@ def test_a_forked_process_leaves_its_parents_transport_alone(open_transport, nam
 def test_a_topic_has_one_type_and_a_name(open_transport, name):
     transport = open_transport()
     transport.advertise(topic_of(name))
-    with pytest.raises(Error) as other:
-        transport.subscribe(topic_of(name, "tf2_msgs/msg/TFMessage"), print)
     had = f"got tf2_msgs/msg/TFMessage for {name!r}, which had std_msgs/msg/Header before"
-    assert str(other.value) == f"a topic must have one type ({had})"
+    other = topic_of(name, "tf2_msgs/msg/TFMessage")
+    assert error_of(transport.subscribe, other, print) == f"a topic must have one type ({had})"
     with pytest.raises(Error, match="which had std_msgs/msg/Header before, with another definition"):
         transport.advertise(Topic(name, "std_msgs/msg/Header", "", "string frame_id"))
     with pytest.raises(Error, match="must be a name that DDS allows"):
@@ -798,10 +800,8 @@ def test_missing_packages_are_an_extra(monkeypatch, domain, module):
         if known.split(".")[0] == module:
             monkeypatch.delitem(sys.modules, known)
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(Error) as caught:
-        DdsTransport(domain)
-    assert str(caught.value).endswith(install_command("live"))
-    assert f"got no module {module}" in str(caught.value)
+    message = error_of(DdsTransport, domain)
+    assert message.endswith(install_command("live")) and f"got no module {module}" in message
 
 
 @pytest.mark.slow

@@ -84,7 +84,7 @@ def has_opengl() -> bool:
     return True
 
 
-def measure(scene, sonar, beams: str, truth, rounds: int, quick: bool, left_out=()) -> list[dict]:
+def measure(scene, sonar, beams: str, truth, rounds: int, quick: bool, left_out) -> list[dict]:
     """Return one row a method and resolution, but for methods that are left out; see POINTS, and `ms_least`."""
     acoustics, pose = sg.Acoustics.ideal(), scene.sonar_pose
     rows, contenders = [], {}

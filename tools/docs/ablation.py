@@ -99,7 +99,7 @@ def keep_rows(text: str, standing: str, names) -> str:
     return "\n".join([head, "", *rows])
 
 
-def measure(name: str, standing: str = "", only=()) -> tuple[str, bool]:
+def measure(name: str, standing: str, only) -> tuple[str, bool]:
     """Return the table of a scene, and whether its picture is to be drawn.
 
     standing : the table whose rows stay, but for those of the terms `only` and those that it lacks; empty for none

@@ -286,10 +286,7 @@ def make_divers(out: Path):
 # --- the harbour; a place at the quay is along the wall (to port), out from it, and up from the floor
 
 BASIN = -9.0  # z of the floor; the surface is at 0
-QUAY_AT, QUAY_YAW = (
-    (13.5, 0.0),
-    -0.2,
-)  # where the sonar ahead meets the wall; shapes of this yaw stand square to it
+QUAY_AT, QUAY_YAW = (13.5, 0.0), -0.2  # where the wall lies ahead; shapes of this yaw stand square to it
 BERTH_PILES = (-9.6, -6.4, -3.2, 0.0, 3.2, 6.4, 9.6)  # along the wall
 PILES_OUT = 2.6
 RUSTED = 0.0  # the pile here
@@ -309,9 +306,9 @@ def at_quay(along: float, out: float, up: float) -> np.ndarray:
     return np.array([QUAY_AT[0] - out * c - along * s, QUAY_AT[1] - out * s + along * c, BASIN + up])
 
 
-def polygon(n: int, radius: float) -> np.ndarray:
-    """Return (n, 2) corners of a regular polygon."""
-    angles = np.arange(n) * 2 * np.pi / n
+def polygon(radius: float) -> np.ndarray:
+    """Return (20, 2) corners of a regular polygon."""
+    angles = np.arange(20) * 2 * np.pi / 20
     return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
@@ -327,7 +324,7 @@ def add_at_quay(link, name: str, surface: str, position, size):
 
 def add_tyre(world, name: str, pose):
     """Add a lorry's tyre, a ring about z, its middle at `pose`."""
-    rings = [polygon(20, 0.52), polygon(20, 0.28)]
+    rings = [polygon(0.52), polygon(0.28)]
     place(model(world, name, pose), "tyre", "tyre", "polyline", (0, 0, -0.14), rings=rings, height=0.28)
 
 

@@ -13,15 +13,9 @@ import numpy as np
 from sonar_gl.core.grown_array import Room
 from sonar_gl.core.reused_array import ReusedArray
 from sonar_gl.core.worker import SecondThread
-from sonar_gl.raster.cpu.visibility_buffer import (
-    NOTHING,
-    PatchFaces,
-    PlacedBodies,
-    Triangles,
-    Vertices,
-    draw_windows,
-    write_lobes,
-)
+from sonar_gl.raster.cpu.kernels.shading import write_lobes
+from sonar_gl.raster.cpu.kernels.tables import NOTHING, PatchFaces, PlacedBodies, Triangles, Vertices
+from sonar_gl.raster.cpu.kernels.windows import draw_windows
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import (
     MAX_SAMPLES,

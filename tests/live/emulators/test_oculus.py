@@ -96,6 +96,23 @@ RESULT_2 = FIRE | {
     "messageSize": (198, "<u4"),
 }
 BEARINGS = {1: 122, 2: 202}  # where they begin
+ASKED = FireMessage(1, LOW, 0, 127, METRES, 5.0, 50.0, 0.0, bytes(37))
+REPORTED = OculusResult(
+    ASKED,
+    number=1,
+    counts=np.zeros((1, 1), np.uint8),
+    azimuth_rad=np.zeros(1),
+    gain=np.ones(1, np.float32),
+    bin_size_m=0.1,
+    frequency_hz=1e6,
+    temperature_c=8.0,
+    pressure_bar=1.0,
+    sound_speed_m_s=1500.0,
+    heading_deg=0.0,
+    pitch_deg=0.0,
+    roll_deg=0.0,
+    time_s=0.0,
+)
 
 
 def numbers_of(message, layout):
@@ -236,8 +253,7 @@ def test_attitude_is_that_of_the_housing_by_the_signs_that_the_documentation_sta
     assert pose[2, 0] > 0 > pose[2, :3] @ [0, -1, 0]  # bow up, starboard down
     sonar = sg.load_sonar("oculus-m1200d-hf,n_beams=8,tilt_deg=10")
     ping = replace(fan_ping(), sonar=sonar, acoustics=sg.Acoustics.physical(), pose=pose)
-    fire = FireMessage(2, HIGH, 0, 127, METRES, 5.0, 50.0, 0.0, b"")
-    found = oculus.oculus_result(ping, fire, 0.0, 0)
+    found = oculus.oculus_result(ping, ASKED, 0.0, 0)
     assert (found.heading_deg, found.pitch_deg, found.roll_deg) == pytest.approx(
         np.degrees([np.pi / 2 - 0.1, 0.2, 0.3])
     )
@@ -415,20 +431,19 @@ def test_the_log_names_what_a_fire_message_changes(server, connection, caplog):
 
 
 @pytest.mark.parametrize(
-    "changes, words",
+    "range_m, words",
     [
-        ({"range": 11.0}, "at most 10 m"),
-        ({"range": 0.05}, "more than 0.1 m"),
+        (11.0, "at most 10 m"),
+        (0.05, "more than 0.1 m"),
     ],
 )
-def test_range_of_the_device_is_kept(server, changes, words):
-    fire = FireMessage(1, HIGH, 0, 127, METRES, changes["range"], 50.0, 0.0, b"")
+def test_range_of_the_device_is_kept(range_m, words):
     with pytest.raises(Error, match=words):
-        OculusHead(MODELS["m1200d"], None).sonar(fire)
+        OculusHead(MODELS["m1200d"], None).sonar(replace(ASKED, mode=HIGH, range=range_m))
 
 
 def test_range_in_per_cent_is_of_the_greatest():
-    fire = FireMessage(1, LOW, 0, 127, 0, 25.0, 50.0, 0.0, b"")
+    fire = replace(ASKED, flags=0, range=25.0)
     assert OculusHead(MODELS["m1200d"], None).sonar(fire).range_max_m == 10.0
 
 
@@ -437,14 +452,12 @@ def test_range_in_per_cent_is_of_the_greatest():
     [(0, 0.5), (1, 0.01), (5, 0.01), (6, 0.5 * 6 / 255), (127, 0.5 * 127 / 255), (255, 0.5)],
 )
 def test_any_gamma_is_taken(gamma, exponent):
-    fire = FireMessage(1, LOW, 0, gamma, METRES, 5.0, 50.0, 0.0, b"")
-    assert OculusHead(MODELS["m1200d"], None).sonar(fire).counts.exponent == exponent
+    assert OculusHead(MODELS["m1200d"], None).sonar(replace(ASKED, gamma=gamma)).counts.exponent == exponent
 
 
 def test_counts_change_the_gain_that_a_program_leaves_to_the_device():
     device = OculusHead(MODELS["m1200d"], None, {"gain_percentile": 90.0})
-    fire = FireMessage(1, LOW, 0, 127, METRES | ASSISTANCE, 5.0, 50.0, 0.0, b"")
-    laws = [device.sonar(one).counts for one in (fire, replace(fire, flags=METRES))]
+    laws = [device.sonar(replace(ASKED, flags=flags)).counts for flags in (METRES | ASSISTANCE, METRES)]
     assert [(law.gain_percentile, law.gain_db) for law in laws] == [(90.0, 0.0), (None, 30.0)]
 
 
@@ -453,7 +466,7 @@ def test_counts_change_the_gain_that_a_program_leaves_to_the_device():
 )
 def test_ping_rates_are_those_of_their_codes(rate, rate_hz):
     """PingRateType of Oculus.h: normal, high, highest, low, lowest and standby; a device goes on at the normal one."""
-    assert FireMessage(1, LOW, rate, 127, METRES, 5.0, 50.0, 0.0, b"").ping_rate_hz == rate_hz
+    assert replace(ASKED, ping_rate=rate).ping_rate_hz == rate_hz
 
 
 @pytest.mark.parametrize(
@@ -486,8 +499,7 @@ def test_ranges_follow_the_speed_of_sound_that_a_program_sets():
     head = QuietHead(sg.Acoustics.physical(water=water))
     device = OculusHead(MODELS["m1200d"], head)
     for asked_m_s, used_m_s in ((1600.0, 1600.0), (0.0, water.sound_speed())):
-        fire = FireMessage(2, HIGH, 0, 127, METRES, 5.0, 50.0, asked_m_s, b"")
-        result = device.ping(fire, 0.0, 1)
+        result = device.ping(replace(ASKED, mode=HIGH, sound_speed_m_s=asked_m_s), 0.0, 1)
         assert head.used[-1].assumed_sound_speed_m_s() == result.sound_speed_m_s == used_m_s
         assert head.used[-1].water == water
         assert (result.temperature_c, result.pressure_bar) == (8.0, pytest.approx(1.01325 + 2.5))
@@ -545,25 +557,14 @@ def test_the_status_says_where_the_device_is_and_who_is_connected(monkeypatch):
 
 
 def test_result_of_odd_sizes_fits_its_header():
-    fire = FireMessage(1, HIGH, 0, 127, METRES | GAINS, 3.0, 50.0, 0.0, bytes(37))
-    numbers = np.arange(6, dtype=np.uint8).reshape(2, 3)
-    one = OculusResult(
-        fire,
-        2**32 + 5,
-        numbers,
-        np.array([-0.1, 0.1]),
-        np.ones(3, np.float32),
-        0.1,
-        1e6,
-        8.0,
-        1.0,
-        1500.0,
-        0,
-        0,
-        0,
-        9.0,
-    )
-    message = one.message(1)
+    message = replace(
+        REPORTED,
+        fire=replace(ASKED, flags=METRES | GAINS),
+        number=2**32 + 5,
+        counts=np.arange(6, dtype=np.uint8).reshape(2, 3),
+        azimuth_rad=np.array([-0.1, 0.1]),
+        gain=np.ones(3, np.float32),
+    ).message(1)
     assert struct.unpack_from("<I", message, 53) == (5,)  # numbers begin anew
     rows = np.frombuffer(message, np.uint8, offset=2048).reshape(3, 6)
     assert rows[:, 4:].tolist() == [[3, 0], [4, 1], [5, 2]]  # port's beam first, as its bearing is the lower
@@ -576,23 +577,8 @@ def test_result_of_odd_sizes_fits_its_header():
 def test_start_time_counts_nanoseconds_in_the_first_version_and_seconds_in_the_second(time_s, nanoseconds):
     """Times that floats hold; in raw pings of an M1200d consecutive start times differ by 62.5 million."""
     first, second = (
-        OculusResult(
-            FireMessage(version, HIGH, 0, 127, METRES, 3.0, 50.0, 0.0, bytes(size)),
-            number=1,
-            counts=np.zeros((1, 1), np.uint8),
-            azimuth_rad=np.zeros(1),
-            gain=np.ones(1, np.float32),
-            bin_size_m=0.1,
-            frequency_hz=1e6,
-            temperature_c=8.0,
-            pressure_bar=1.0,
-            sound_speed_m_s=1500.0,
-            heading_deg=0.0,
-            pitch_deg=0.0,
-            roll_deg=0.0,
-            time_s=time_s,
-        ).message(1)
-        for version, size in ((1, 37), (2, 73))
+        replace(REPORTED, fire=fire, time_s=time_s).message(1)
+        for fire in (ASKED, replace(ASKED, version=2, settings=bytes(73)))
     )
     assert struct.unpack_from("<I", first, 93) == (nanoseconds,)
     assert struct.unpack_from("<d", second, 153) == (time_s,)

@@ -1,11 +1,8 @@
-"""Rasterise triangles on the CPU: find the nearest triangle of each sample, then shade the samples.
+"""Rasterise triangles: find the nearest one of each sample.
 
-A visibility buffer holds 1/x and a triangle for each sample. The triangles of patches are drawn into it with OpenGL's
-rules: corners are rounded to 1/256 of a sample, and the nearest triangle wins. 1/x is linear on the image plane, so
-that depth, the near plane and slopes come from one linear form. Only the triangles that win are shaded.
-
-Sources: Burns, Hunt, "The Visibility Buffer", J. Computer Graphics Techniques 2(2), 2013; Olano, Greer, "Triangle Scan
-Conversion using 2D Homogeneous Coordinates", Graphics Hardware 1997, for triangles with corners behind the sonar.
+The triangles of patches are drawn into a visibility buffer with OpenGL's rules: corners are rounded to 1/256 of a
+sample, and the nearest triangle wins. 1/x is linear on the image plane, so that depth, the near plane and slopes come
+from one linear form.
 """
 
 from __future__ import annotations
@@ -16,96 +13,20 @@ from typing import NamedTuple
 import numpy as np
 from numba import uint64
 
-from sonar_gl.core.compiled import as_table, compiled, inlined, uncounted
+from sonar_gl.core.compiled import as_table, inlined, uncounted
+from sonar_gl.raster.cpu.kernels.tables import FLAT, FLAT_DIFFUSE, ROW_REFLECTIVITY, ROW_STRENGTH
 
 GRID = 256  # steps to a sample: corners are rounded to these, as drivers do
 # samples in the box about a triangle that are tried one by one; larger triangles are drawn row by row
 FEW = 16
 MAX_PATCH_VERTICES = 6144 + 24  # three for each of MAX_PATCH_FACES; no multiple of a page of memory
-# of `PlacedBodies.rows`, as in `sonar_gl/raster/cull.py`, whose constants these functions must not read
-ROW_REFLECTIVITY, ROW_STRENGTH, ROW_SLOPE = 12, 14, 15
-# of `Triangles.bodies`: faces without shading normals; the echo of FLAT_DIFFUSE is μ cos θ alone
-FLAT, FLAT_DIFFUSE = -1, -2
-NOTHING, SINGLE = -1, -2  # of `SectorSamples.face_id`
 BODY_STEP = 0x9E3779B1  # odd, and far from small multiples of 2^31
-# of a sample's echo: a lobe that is less may change from sample to sample as it likes
-FAINT_LOBE = 1e-2
-NEARLY = 1.0 - 1e-6  # times what is compared: well above its rounding
-FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its peak
 # Height of a triangle, in samples, below which rounding of its corners to float32 decides its plane: 6e-8 of columns
 # and rows up to some thousands.
 THINNEST = 1e-4
 HALF_STEP = 0.5 / GRID**2  # of what tells on which side of an edge between corners on the grid a sample lies
 NO_FORM = (0.0, 0.0, 0.0)  # of a triangle that is not seen
 ON_EDGE = 1e-6  # of a sample: rounding of the ends of rows where corners are not on the grid
-
-
-class PatchFaces(NamedTuple):
-    """Faces of all patches: fields of `Levels`."""
-
-    first_vertex: np.ndarray
-    n_vertices: np.ndarray
-    first_face: np.ndarray
-    n_faces: np.ndarray
-    faces: np.ndarray
-    box: np.ndarray
-
-
-class Vertices(NamedTuple):
-    """Vertices of all patches.
-
-    points : (W, 3) float32 positions
-    normals, reflectivity : (W, 3) and (W,), or of no length
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-    reflectivity: np.ndarray
-
-
-class PlacedBodies(NamedTuple):
-    """Bodies as seen from one pose.
-
-    matrices : (n, 3, 4) sonar_from_body
-    rows : (n, 16), of which ROW_REFLECTIVITY is the reflectivity, ROW_STRENGTH and ROW_SLOPE are of the specular lobe
-    is_cut : (n,) bool, bodies that the clip plane cuts
-    closed : (n,) 0 for open meshes
-    outside : back faces of closed bodies are not visible
-    plane : (4,) clip plane in the sonar's frame: only a · (x, y, z, 1) > 0 is drawn
-    """
-
-    matrices: np.ndarray
-    rows: np.ndarray
-    is_cut: np.ndarray
-    closed: np.ndarray
-    outside: bool
-    plane: np.ndarray
-
-
-class Triangles(NamedTuple):
-    """The triangles of a visibility buffer; overwritten.
-
-    planes : (T, 4) float32: slopes of 1/x along u and v, distance of the plane (cos θ times range), reflectivity
-    bodies : (T, 3) int32: index of the body; row of `normals`, or FLAT, or FLAT_DIFFUSE; number of the face among those
-        of all bodies
-    normals : (T', 9) normal over x, as a linear form of the sample's column and row, in the sector's frame; T' is T
-        where meshes have shading normals, else 0
-    """
-
-    planes: np.ndarray
-    bodies: np.ndarray
-    normals: np.ndarray
-
-
-class VisibilityBuffer(NamedTuple):
-    """What is nearest in each sample of a window; overwritten.
-
-    depth : (H, W) float32, 1/x; 0 where there is nothing
-    triangle : (H, W) int32 row of `Triangles`, where `depth` > 0
-    """
-
-    depth: np.ndarray
-    triangle: np.ndarray
 
 
 class Scratch(NamedTuple):
@@ -148,7 +69,7 @@ class RasterRoom(NamedTuple):
 
 
 @inlined
-def _make_room():
+def make_room():
     """Return room for a patch and a triangle."""
     return RasterRoom(
         np.empty((6, MAX_PATCH_VERTICES)),
@@ -653,228 +574,3 @@ def _fit_normals(normals, start, f, faces, points, m, p, h, out):
         out[3 * axis] = (na * c0z + nb * c1z + nc * c2z) * over
         out[3 * axis + 1] = (na * c0x + nb * c1x + nc * c2x) * over
         out[3 * axis + 2] = (na * c0y + nb * c1y + nc * c2y) * over
-
-
-@inlined
-def lobe_times_range(echo, range_m, strength, slope):
-    """Return the specular lobe times range of a sample, from cos θ times range; see `specular_lobe`."""
-    cosine = min(max(echo / range_m, 1e-3), 1.0)
-    square, s2 = cosine * cosine, np.float64(slope) * slope
-    exponent = -0.5 * (1.0 - square) / (square * s2)
-    if exponent < FAINTEST:
-        return 0.0
-    return strength * math.exp(exponent) / (8.0 * s2 * square * square * cosine) * range_m
-
-
-@inlined
-def _is_faint(cos_over_depth, over_depth2, slope):
-    """Return whether a lobe is surely 0, as it is for most samples: without a root, a quotient or an exponential.
-
-    Parameters
-    ----------
-    cos_over_depth : cos θ times range over depth
-    over_depth2 : square of range over depth
-    """
-    square = cos_over_depth * cos_over_depth
-    return square * (1.0 - 2.0 * FAINTEST * slope * slope) < NEARLY * over_depth2
-
-
-@compiled
-def write_lobes(image, lobes, windows, lobes_alone):
-    """Write a view in which bodies return their specular lobes alone, from the view in which they return all.
-
-    Parameters
-    ----------
-    image : plane_echo, body_id and face_id of the whole view, as for `shade`; face_id is not read
-    lobes : of `shade`
-    windows : (S, 5) int64, a window of samples of each sector: its first column in the images of the whole view and of
-        the lobes, its first row, its columns and its rows
-    lobes_alone : plane_echo, body_id and face_id of the lobes' image, overwritten in the windows
-    """
-    (whole, numbers, _), (plane_echo, body_id, face_id) = image, lobes_alone
-    for s in range(uint64(len(windows))):
-        from_left, left, bottom, columns, rows = windows[s]
-        for j in range(uint64(rows)):
-            row = uint64(bottom) + j
-            for i in range(uint64(columns)):
-                at, to = uint64(from_left) + i, uint64(left) + i
-                for k in range(uint64(3)):
-                    plane_echo[j, to, k] = whole[row, at, k]
-                plane_echo[j, to, 3] = lobes[row, at]
-                face_id[j, to] = SINGLE - np.int64(row) if lobes[row, at] > np.float32(0.0) else NOTHING
-            if body_id.shape[0]:
-                for i in range(uint64(columns)):
-                    body_id[j, uint64(left) + i] = numbers[row, uint64(from_left) + i]
-
-
-@inlined
-def _shaded_echo(normal_forms, t, x, y, u, v, q, slope_u, slope_v, flat):
-    """Return cos θ times range of a sample by its shading normal, which faces the side that is seen.
-
-    t : row of `normal_forms`; x, y : column and row of the sample
-    flat : the same of the face, where there is no normal
-    """
-    nx = normal_forms[t, 0] + normal_forms[t, 1] * x + normal_forms[t, 2] * y
-    ny = normal_forms[t, 3] + normal_forms[t, 4] * x + normal_forms[t, 5] * y
-    nz = normal_forms[t, 6] + normal_forms[t, 7] * x + normal_forms[t, 8] * y
-    squares = nx * nx + ny * ny + nz * nz
-    if not squares > 0.0:  # or NaN; float64 holds the squares of all float32
-        return flat
-    along_plane = nx * (q - slope_u * u - slope_v * v) - ny * slope_u + nz * slope_v
-    along_ray = nx - ny * u + nz * v
-    turned = along_ray if along_plane > 0.0 else -along_ray
-    return max(turned, 0.0) / (math.sqrt(squares) * q)
-
-
-@inlined
-def _lobe_of(echo, u, v, q, strength, slope):
-    """Return the specular lobe times range of a sample, from cos θ times range."""
-    over_depth2 = 1.0 + u * u + v * v  # square of range over depth
-    if not strength > np.float32(0.0) or _is_faint(echo * q, over_depth2, slope):
-        return 0.0
-    return lobe_times_range(echo, math.sqrt(over_depth2) / q, strength, slope)
-
-
-@inlined
-def _write_bodies(buffer, bodies, left, body_id):
-    """Write the number of the body of each sample into an image, from column `left` on."""
-    depth, triangle = buffer
-    for j in range(uint64(depth.shape[0])):
-        for i in range(uint64(depth.shape[1])):
-            is_hit = depth[j, i] > np.float32(0.0)
-            number = bodies[uint64(triangle[j, i]), 0] + 1 if is_hit else 0
-            body_id[j, uint64(left) + i] = number
-
-
-@uncounted
-def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes):
-    """Write a visibility buffer into an image of samples, as shaders/gbuffer.frag does.
-
-    Parameters
-    ----------
-    buffer, triangles, view, window : as for `rasterize`
-    bodies_seen : rows of PlacedBodies, and whether any body has a specular lobe
-    left : column of the image at which the window begins
-    image : plane_echo, body_id and face_id of `SectorSamples`: (H, W, 4) float32, (H, W) uint16 and int32; body_id of
-        no length if it is not wanted
-    lobes : (H, W) float32, overwritten with the specular lobe times range of each sample; of no length if they are not
-        wanted
-
-    Returns
-    -------
-    first and past the last column, counted from the window's, and first and past the last row of samples with a lobe;
-    without one, past the last comes before the first
-    """
-    (body_rows, has_lobes), (plane_echo, body_id, face_id) = bodies_seen, image
-    depth, triangle = buffer
-    planes, bodies, normal_forms = triangles
-    lattice_u, lattice_v = view[5], view[6]
-    u0, v0, i0, j0 = lattice_u[0], lattice_v[0], window[0], window[2]
-    zero, with_lobes = np.float32(0.0), lobes.shape[0] > 0
-    low, past, bottom, top = depth.shape[1], 0, depth.shape[0], 0
-    for j in range(uint64(depth.shape[0])):
-        if with_lobes:
-            for i in range(uint64(depth.shape[1])):
-                lobes[j, uint64(left) + i] = zero
-        for i in range(uint64(depth.shape[1])):
-            q, t, at = depth[j, i], uint64(triangle[j, i]), uint64(left) + i
-            if q <= zero:
-                for k in range(uint64(4)):
-                    plane_echo[j, at, k] = zero
-                face_id[j, at] = NOTHING
-                continue
-            face_id[j, at] = bodies[t, 2]
-            plane_echo[j, at, 0] = q
-            plane_echo[j, at, 1] = planes[t, 0]
-            plane_echo[j, at, 2] = planes[t, 1]
-            echo = np.float64(planes[t, 2])
-            if bodies[t, 1] == FLAT_DIFFUSE:
-                plane_echo[j, at, 3] = planes[t, 3] * echo
-            else:
-                x, y = np.float64(np.int64(i) + i0), np.float64(np.int64(j) + j0)
-                u = u0 + lattice_u[1] * x + lattice_u[2] * y
-                v = v0 + lattice_v[1] * x + lattice_v[2] * y
-                if bodies[t, 1] >= 0:
-                    echo = _shaded_echo(normal_forms, t, x, y, u, v, q, planes[t, 0], planes[t, 1], echo)
-                plane_echo[j, at, 3] = planes[t, 3] * echo
-                body = bodies[t, 0]
-                strength, slope = body_rows[body, ROW_STRENGTH], body_rows[body, ROW_SLOPE]
-                of_lobe = _lobe_of(echo, u, v, q, strength, slope) if has_lobes else 0.0
-                if of_lobe > 0.0:
-                    plane_echo[j, at, 3] += of_lobe
-                    if with_lobes:
-                        lobes[j, at] = of_lobe
-                        low, past = min(low, np.int64(i)), max(past, np.int64(i) + 1)
-                        bottom, top = min(bottom, np.int64(j)), np.int64(j) + 1
-                    if of_lobe > FAINT_LOBE * plane_echo[j, at, 3]:
-                        face_id[j, at] = SINGLE - np.int64(j)
-            # what returns nothing is joined whatever its face, as most of a view of lobes alone
-            if plane_echo[j, at, 3] == zero:
-                face_id[j, at] = NOTHING
-    if body_id.shape[0]:
-        _write_bodies(buffer, bodies, left, body_id)
-    return low, past, bottom, top
-
-
-@compiled
-def draw_windows(
-    chosen,
-    found,
-    patches,
-    vertices,
-    placed,
-    views,
-    part,
-    limits,
-    memory,
-    bodies_seen,
-    image,
-    lobes,
-    is_met,
-    lit,
-):
-    """Draw some columns of the window of each of S sectors into an image.
-
-    One call draws all sectors: to hand arrays over takes as long as to draw a sector of side lobes.
-
-    Parameters
-    ----------
-    chosen, found : of `choose_in_sectors`; windows lie in the image side by side
-    patches, vertices, placed, limits : as for `rasterize`
-    views : of each sector, tuple of SectorGeometry, whose parts are stacked
-    part : (2,) which of how many parts of the columns
-    memory : depth and triangle, flat, of the largest VisibilityBuffer, and tuple of Triangles of the most faces
-    bodies_seen, image, lobes : as for `shade`
-    is_met : (S,) bool, overwritten: whether any sample of the sector may meet something
-    lit : (S, 4) int64, overwritten: what `shade` returns of each sector, columns counted from those of its window
-    """
-    (depth, triangle, triangles), left, room = memory, 0, _make_room()
-    for s in range(found.shape[0]):
-        i, j, columns, rows = found[s, 2], found[s, 3], found[s, 4], found[s, 5]
-        first, last = part[0] * columns // part[1], (part[0] + 1) * columns // part[1]
-        is_met[s] = False
-        lit[s, 0], lit[s, 1], lit[s, 2], lit[s, 3] = columns, 0, rows, 0
-        if first < last:
-            view = (views[0][s], views[1][s], views[2][s], views[3][s], views[4][s], views[5][s], views[6][s])
-            extent = i + first, i + last - 1, j, j + rows - 1
-            count, shape = rows * (last - first), (rows, last - first)
-            buffer = depth[:count].reshape(shape), triangle[:count].reshape(shape)
-            n = rasterize(
-                chosen[s, : found[s, 0]],
-                patches,
-                vertices,
-                placed,
-                view,
-                extent,
-                limits,
-                buffer,
-                triangles,
-                room,
-            )
-            is_met[s] = n > 0
-            low, past, bottom, top = shade(
-                buffer, triangles, view, extent, bodies_seen, left + first, image, lobes
-            )
-            if low < past:
-                lit[s, 0], lit[s, 1], lit[s, 2], lit[s, 3] = first + low, first + past, bottom, top
-        left += columns
