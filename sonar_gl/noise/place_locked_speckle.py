@@ -152,14 +152,15 @@ class Nodes(NamedTuple):
 @compiled
 def _even_weights(first, weights, products, out):
     """Fill out (B, TAPS) with the weights of `Nodes.even_weights`; the others as there."""
+    n_taps = uint64(out.shape[1])
     for b in range(uint64(len(out))):
         power = 0.0
-        for i in range(uint64(TAPS)):
-            for j in range(i, uint64(TAPS)):
+        for i in range(n_taps):
+            for j in range(i, n_taps):
                 of_pair = products[uint64(first[b]) + i, j - i] * weights[b, i] * weights[b, j]
                 power += of_pair if j == i else 2 * of_pair
         scale = float32(1 / math.sqrt(power))
-        for i in range(uint64(TAPS)):
+        for i in range(n_taps):
             out[b, i] = weights[b, i] * scale
 
 
@@ -169,20 +170,21 @@ def _interpolate_nodes(fraction, out):
 
     fraction : (B,) of the way between the two middle nodes, 0 to 1
     """
+    n_taps = out.shape[1]
     for b in range(uint64(len(out))):
         f, total = fraction[b], 0.0
         # sin πf, accurate also just before 1; from one node to the next it changes its sign
         sine = math.sin(math.pi * min(f, 1 - f))
-        for tap in range(TAPS):
-            off = f + (TAPS // 2 - 1 - tap)
-            z, weight = max(1 - (2 * off / TAPS) ** 2, 0.0), 0.0
+        for tap in range(n_taps):
+            off = f + (n_taps // 2 - 1 - tap)
+            z, weight = max(1 - (2 * off / n_taps) ** 2, 0.0), 0.0
             for term in KAISER_WINDOW[::-1]:
                 weight = weight * z + term
             if off != 0.0:
                 weight *= (sine if tap % 2 else -sine) / (math.pi * off)
             out[b, tap] = weight
             total += weight
-        for tap in range(TAPS):
+        for tap in range(n_taps):
             out[b, tap] /= total
 
 
