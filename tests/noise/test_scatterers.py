@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.acoustics.beam_pattern import ArrayPattern, aperture_pattern
-from sonar_gl.acoustics.pulse import field_weights
+from sonar_gl.acoustics.beam_pattern import ArrayPattern, aperture_field, aperture_pattern
+from sonar_gl.acoustics.pulse import PULSE_TAPERS, field_weights
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.scatterers import MANY, scatterers_of
@@ -89,6 +89,18 @@ def test_a_pattern_in_elevation_makes_echoes_unlike():
     found = noisy(ping, pings=200)
     check_mean(found, 1.0)
     check_mean(found**2, 2 + (fourth * (power**2).mean() / power.mean() ** 2 / per_cell).mean())
+
+
+@pytest.mark.parametrize(("bin_per_cell", "excess"), [(0.25, 1.0), (0.5, 1.0), (1.0, 8 / 7)])
+def test_scatterers_at_the_centres_of_bins_stand_for_those_at_all_ranges(bin_per_cell, excess):
+    """By Campbell's theorem the mean square holds ∫w⁴ / (∫w²)² over range, of which Σw⁴ takes the place."""
+    cells = np.linspace(-40, 40, 800_001)  # ranges in c/2B
+    response = aperture_field(cells, PULSE_TAPERS["hamming"])
+    power, fourth = ((response**n).sum() * 1e-4 for n in (2, 4))
+    bin_m, bandwidth_hz = 0.02, 1500 / 2 / 0.02 * bin_per_cell * power  # a cell is so many c/2B long
+    weights = field_weights(bin_m, bandwidth_hz, "hamming").astype(float)
+    everywhere = bin_per_cell * power * fourth / power**2
+    assert (weights**4).sum() / everywhere == pytest.approx(excess, rel=0.01)
 
 
 def test_a_single_scatterer_is_the_beam_pattern():
