@@ -126,7 +126,7 @@ def assemble(
     """
     request, found = received.drawn.setup.request, labels_of_all_echo(received)
     powers = filtered_powers(received, thread)
-    labels, label_level_db = shown_labels(instrument, received.drawn.setup, found, powers["intensity"])
+    labels, label_level_db = shown_labels(instrument, received, found, powers["intensity"])
     for array in (*powers.values(), *labels.values()):
         if array is not None:
             array.setflags(write=False)
@@ -347,25 +347,30 @@ def filtered_powers(received: ReceivedPing, thread: SecondThread | None) -> dict
 
 
 def shown_labels(
-    instrument: Instrument, setup: PingSetup, labels: Labels | None, intensity: np.ndarray
+    instrument: Instrument, received: ReceivedPing, labels: Labels | None, intensity: np.ndarray
 ) -> tuple[dict[str, np.ndarray], float | None]:
     """Return the labels of a ping by the names of the fields of `Ping`, and the least level that is labelled, dB.
 
     Without labels, return an empty table and None. The level is compared with the mean echo, so that labels do not
-    depend on the seed of the noise.
+    depend on the seed of the noise. It is compared before the matched filter, too: the range side lobes of a bright
+    body reach bins in which it has next to no echo.
 
     Parameters
     ----------
+    received : to whose direct echo `filtered_powers` added the others
     labels : with shares of all echo, or None; its arrays are overwritten
     intensity : (B, K) after the matched filter
     """
     if labels is None:
         return {}, None
+    setup = received.drawn.setup
     label_level_db = setup.request.label_level_db
     if label_level_db is None:
         label_level_db = 10 * math.log10(instrument.sonar.counts.least_shown(intensity))
-    found = without_faint(labels, intensity, 10 ** (label_level_db / 10))
-    level = setup.acoustics.pulse_level(instrument.sonar)  # as the intensity has it
+    least, level = 10 ** (label_level_db / 10), setup.acoustics.pulse_level(instrument.sonar)
+    found = without_faint(labels, intensity, least)
+    if setup.pulse is not None:  # the filter raises even echo by `level`
+        found = without_faint(found, received.direct.intensity, least / level)
     return vars(replace(found, body_echo=found.body_echo * level)), label_level_db
 
 

@@ -517,6 +517,52 @@ def test_side_lobes_of_a_pile_do_not_carry_its_label():
     np.testing.assert_array_equal(shown.body_echo, whole.body_echo)
 
 
+def wall_behind_a_slat(range_m, ahead_m, length_m):
+    """Return a wall and, of the same body, a slat ahead of it that is seen nearly edge-on and returns little."""
+    wall, slat = trimesh.creation.box((0.002, 20, 20)), trimesh.creation.box((length_m, 20, 1e-6))
+    slat.apply_transform(trimesh.transformations.rotation_matrix(-0.01, [0, 1, 0]))
+    wall.apply_translation((range_m + 0.001, 0, 0))
+    slat.apply_translation((range_m - ahead_m, 0, 0))
+    return sg.Body("wall", trimesh.util.concatenate([wall, slat]), reflectivity=0.8)
+
+
+@pytest.mark.parametrize("pulse_taper", ["hamming", "uniform"])
+@pytest.mark.parametrize(
+    ("preset", "engine"),
+    [
+        ("p900-45", "opengl"),
+        ("p900-45,bandwidth_hz=20e3", "cpu"),
+        ("m900-2250", "cpu"),
+        ("norbit-fls", "cpu"),
+        ("kongsberg-m3", "cpu"),
+        ("didson-hf", "cpu"),
+    ],
+)
+def test_what_the_pulse_alone_lights_has_no_label(preset, engine, pulse_taper):
+    """Before a wall its range side lobes are bright; a slat of its body has a label there only if it is, too."""
+    sonar, range_m = replace(sg.load_sonar(preset).with_range(5.0), pulse_taper=pulse_taper), 4.0
+    body = wall_behind_a_slat(range_m, 2.5 * sonar.bin_size_m, sonar.bin_size_m)
+
+    def labelled(level_db=-180.0, pulse=True):
+        acoustics, sampling = replace(IDEAL, pulse=pulse), sg.Sampling(2, 400)
+        with sg.Simulator(sg.Scene([body]), sonar, acoustics, sampling, engine=engine) as simulator:
+            return simulator.ping(HERE, labels=True, label_level_db=level_db)
+
+    whole, bare = labelled(), labelled(pulse=False)
+    ahead = whole.range_m + sonar.bin_size_m / 2 < range_m
+    raised = replace(IDEAL, pulse=True).pulse_level(sonar)
+    shown, own = whole.share * whole.intensity, bare.share * bare.intensity
+    slat_db = 10 * math.log10(raised * own[:, ahead].max())
+    for level_db in (slat_db - 1, slat_db + 1):
+        least, ping = 10 ** (level_db / 10), labelled(level_db)
+        is_bright, has_echo = shown >= np.float32(least), own >= np.float32(least / raised)
+        assert is_bright[:, ahead].any()
+        assert ping.body_id[:, ahead].any() == (level_db < slat_db)
+        np.testing.assert_array_equal(ping.body_id, is_bright & has_echo)
+        np.testing.assert_array_equal(np.isnan(ping.true_range_m), ping.body_id == 0)
+        np.testing.assert_array_equal(ping.body_echo, whole.body_echo)
+
+
 @pytest.mark.parametrize(
     "law",
     [
