@@ -295,8 +295,7 @@ def receive_part(drawn: DrawnPing, view: ViewSamples | None) -> BeamEcho | None:
     """
     if view is None:
         return None
-    samples = [one.with_echo() for one in view.sectors]
-    return drawn.resolution.stage.beamformer.sum_footprints(samples, drawn.setup.gain, view.body_spans)
+    return drawn.resolution.stage.beamformer.sum_view(view.with_echo(), drawn.setup.gain)
 
 
 def label(drawn: DrawnPing, bodies: BodySums) -> Labels:

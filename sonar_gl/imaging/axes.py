@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import chain
 from typing import NamedTuple
 
@@ -57,7 +58,7 @@ def draw_axes(
     if counts is None:
         counts = DEFAULT_COUNTS if ping.sonar is None else ping.sonar.counts
     bar = None if colormap is None else _Bar(colormap, law, counts.gain_percentile is not None)
-    return _Axes(fan).draw(picture, _title(ping, fan, law, colormap), bar)
+    return _axes(fan).draw(picture, _title(ping, fan, law, colormap), bar)
 
 
 class FanTicks(NamedTuple):
@@ -148,6 +149,20 @@ def _bar_labels(law: Counts) -> list[str]:
     return labels
 
 
+class _Line(NamedTuple):
+    """The lines of a fan in one of STROKES, at the n pixels that they cross.
+
+    Attributes
+    ----------
+    pixels : (n,) place in the canvas, row by row
+    kept, added : (n, 1) float32, share of the picture that stays visible, and gray level that is added to it
+    """
+
+    pixels: np.ndarray
+    kept: np.ndarray
+    added: np.ndarray
+
+
 class _Axes:
     """Draws the axes of one fan image. Positions are (..., 2) pixels on the canvas, column and row."""
 
@@ -164,7 +179,7 @@ class _Axes:
     def draw(self, picture: np.ndarray, title: str, bar: _Bar | None) -> np.ndarray:
         """Return the picture with a margin, lines and labels, and with a bar, if there is one."""
         canvas = cv2.copyMakeBorder(picture, *[self.margin] * 4, cv2.BORDER_CONSTANT)
-        self._blacken_outside(canvas)
+        canvas = cv2.bitwise_and(canvas, canvas, mask=self._inside)
         self._draw_lines(canvas)
         self._draw_labels(canvas)
         if bar is not None:
@@ -214,30 +229,42 @@ class _Axes:
         pixel = self.fan.pixel(azimuth_rad, np.asarray(range_m) + beyond / self.fan.pixels_per_m)
         return np.stack(np.broadcast_arrays(*pixel), axis=-1) + self.margin
 
-    def _blacken_outside(self, canvas: np.ndarray) -> None:
+    @cached_property
+    def _inside(self) -> np.ndarray:
+        """255 on the canvas where the fan is, elsewhere 0, uint8."""
         (inner_m, outer_m), arc = self.fan.range_edges_m, self._fan_arc()
         outline = np.concatenate([self._position(arc, outer_m), self._position(arc[::-1], inner_m)])
-        inside = cv2.fillPoly(np.zeros(canvas.shape[:2], np.uint8), [np.rint(outline).astype(np.int32)], 255)
-        canvas[:] = cv2.bitwise_and(canvas, canvas, mask=inside)
+        return cv2.fillPoly(self._empty_mask(), [np.rint(outline).astype(np.int32)], 255)
+
+    def _empty_mask(self) -> np.ndarray:
+        """Return zeros of the canvas's height and width, uint8."""
+        return np.zeros((self.fan.height + 2 * self.margin, self.fan.width + 2 * self.margin), np.uint8)
 
     def _fan_arc(self) -> np.ndarray:
         """Return azimuths from edge to edge, for polygons that follow an arc."""
         return np.linspace(*self.fan.azimuth_edges_rad, 361)
 
-    def _draw_lines(self, canvas: np.ndarray) -> None:
+    @cached_property
+    def _lines(self) -> list[_Line]:
+        """The arcs, spokes and edges in each of STROKES."""
         (inner_m, outer_m), arc = self.fan.range_edges_m, self._fan_arc()
         lines = [self._position(arc, range_m) for range_m in (*self.arcs_m, outer_m)]
         edges = () if self.fan.full_circle else self.fan.azimuth_edges_rad
         azimuths = *np.radians(self.spokes_deg), *edges
         lines += [self._position(azimuth, [inner_m, outer_m]) for azimuth in azimuths]
         lines = [np.rint(points * 16).astype(np.int32) for points in lines]  # in sixteenths of a pixel
-        pixels = canvas.reshape(-1, 3)
+        out = []
         for level, width, opacity in STROKES:
-            empty = np.zeros(canvas.shape[:2], np.uint8)
-            mask = cv2.polylines(empty, lines, False, 255, width, cv2.LINE_AA, 4)
+            mask = cv2.polylines(self._empty_mask(), lines, False, 255, width, cv2.LINE_AA, 4).ravel()
             crossed = np.flatnonzero(mask)  # few pixels of all
-            weight = mask.ravel()[crossed, None] * np.float32(opacity / 255)
-            pixels[crossed] = np.rint(pixels[crossed] * (1 - weight) + level * weight).astype(np.uint8)
+            weight = mask[crossed, None] * np.float32(opacity / 255)
+            out.append(_Line(crossed, 1 - weight, level * weight))
+        return out
+
+    def _draw_lines(self, canvas: np.ndarray) -> None:
+        pixels = canvas.reshape(-1, 3)
+        for line in self._lines:
+            pixels[line.pixels] = np.rint(pixels[line.pixels] * line.kept + line.added).astype(np.uint8)
 
     def _draw_labels(self, canvas: np.ndarray) -> None:
         """Label arcs beside the starboard edge, and spokes beyond the outer arc where they have room."""
@@ -293,6 +320,12 @@ class _Axes:
         """Write text that begins at a column, about a row."""
         (width, _), _ = cv2.getTextSize(text, FONT, self.font_size, 1)
         self._write(canvas, text, (column + width / 2, row))
+
+
+@lru_cache(maxsize=4)
+def _axes(fan: FanGeometry) -> _Axes:
+    """Return the axes of a fan, whose lines are laid once for all pings of a sequence."""
+    return _Axes(fan)
 
 
 def _tick_step(span: float, parts: float, steps) -> float:

@@ -186,7 +186,7 @@ class Counts:
             cv2.log(flat, dst=flat)
             flat *= 10 / math.log(10) / window_db
         cv2.patchNaNs(flat, 0.0)  # what a cast makes of them depends on the processor
-        return np.clip(share, 0, 1, out=share)
+        return np.minimum(share, np.float32(1), out=share)
 
     def apply(self, intensity: np.ndarray) -> np.ndarray:
         """Return the counts of intensities, (N, M) or (N,), uint8 or uint16 by `bits`, rounded to the nearest."""

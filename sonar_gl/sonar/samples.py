@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -151,6 +151,7 @@ class ViewSamples:
     body_spans : (bodies + 1, 2) float64 by number: 1/range of the furthest place of the body, and of the nearest one of
         its box; empty if it is not known
     bubbles : (m, 4) azimuth, sine of elevation, range, steradians of point scatterers; None without plumes
+    is_lit : whether the samples of each sector are the window that `SectorSamples.with_echo` finds
     """
 
     sectors: tuple[SectorSamples, ...]
@@ -161,8 +162,16 @@ class ViewSamples:
     table: tuple | None = None
     body_spans: np.ndarray = field(default_factory=lambda: NO_SPANS)
     bubbles: np.ndarray | None = None
+    is_lit: bool = False
 
     @property
     def n_samples(self) -> int:
         """How many samples were drawn."""
         return sum(one.sector.columns * one.sector.rows for one in self.sectors)
+
+    def with_echo(self) -> ViewSamples:
+        """Return the windows of this view's sectors that hold all samples with an echo, without bubbles."""
+        if self.is_lit:
+            return replace(self, bubbles=None)
+        windows = tuple(one.with_echo() for one in self.sectors)
+        return ViewSamples(windows, body_spans=self.body_spans, is_lit=True)

@@ -55,6 +55,17 @@ def test_arcs_and_spokes():
     assert not drawn[pixels(ping, margin, spokes[:-1] + 7.5, 12.5)].any()
 
 
+def test_pictures_of_one_fan_do_not_depend_on_each_other():
+    """Their lines are laid once. The picture that is given stays as it is."""
+    ping = fan_ping(60, range_m=(5.0, 20.0))
+    size = (*fan_image(ping, 300).shape, 3)
+    dark, bright = np.zeros(size, np.uint8), np.full(size, 200, np.uint8)
+    drawn = [draw_axes(picture, ping) for picture in (dark, bright, dark, bright)]
+    np.testing.assert_array_equal(drawn[2], drawn[0])
+    np.testing.assert_array_equal(drawn[3], drawn[1])
+    assert not dark.any() and (bright == 200).all()
+
+
 def test_outside_the_fan_it_is_black():
     ping = fan_ping(60, range_m=(5.0, 20.0), fill=1.0)
     drawn = draw_axes(np.full((300, 300, 3), 200, np.uint8), ping)

@@ -438,7 +438,7 @@ def seen_bodies(samples):
     "name", ["diver", *(pytest.param(name, marks=pytest.mark.slow) for name in ("pylon", "ocean_floor"))]
 )
 def test_views_of_lobes_alone_are_shaded_with_the_whole_view(name, is_threaded, monkeypatch):
-    """They are those that are drawn by themselves, to the bit, and no triangle is drawn for them."""
+    """They are those that are drawn by themselves, to the bit, and so are their sums; no triangle is drawn for them."""
     scene, drawn = sg.load_scene(name), []
     draw_windows = cpu.draw_windows
     monkeypatch.setattr(cpu, "draw_windows", lambda *a: drawn.append(1) or draw_windows(*a))
@@ -446,30 +446,33 @@ def test_views_of_lobes_alone_are_shaded_with_the_whole_view(name, is_threaded, 
     monkeypatch.setattr(world, "n_threads", lambda: 2)
     poses = [scene.sonar_pose, scene.sonar_pose @ sg.pose(0.1, yaw=0.1), scene.sonar_pose @ sg.pose(0.2)]
     with sg.Simulator(scene, SONAR, sg.Acoustics.physical(), SAMPLING, engine="cpu") as simulator:
-        run, renderer = simulator.run, simulator.run.sampler.resolution.stage.renderer
-        state = run.world.state_of(None, None, False, None)
+        run, stage = simulator.run, simulator.run.sampler.resolution.stage
+        renderer, state = stage.renderer, run.world.state_of(None, None, False, None)
         lobes = state.without_diffuse_echo()
 
         def draw(poses, states):
             drawn.clear()
             with run.drawing():
                 views = renderer.render(poses, states, with_bodies=True)
-            samples = [
-                one.with_echo() if its_state is lobes else one
+            views = [
+                view.with_echo() if its_state is lobes else view
                 for view, its_state in zip(views, states, strict=True)
-                for one in view.sectors
             ]
+            sums = [stage.beamformer.sum_view(view).intensity for view in views]
+            samples = [one for view in views for one in view.sectors]
             arrays = [
                 (one.plane_echo, one.face_id, seen_bodies(one), one.sector.u, one.sector.v) for one in samples
             ]
-            return [[a.copy() for a in one] for one in arrays], len(drawn)
+            return [*([a.copy() for a in one] for one in arrays), *([one] for one in sums)], len(drawn)
 
         whole, n_whole = draw(poses, [state] * 3)
         alone, _ = draw(poses, [lobes] * 3)
         both, n_both = draw([*poses, *poses], [state] * 3 + [lobes] * 3)
     assert n_both == n_whole
-    assert sum((plane_echo[..., 3] > 0).sum() for plane_echo, *_ in alone) > 100
-    for got, expected in zip(both, [*whole, *alone], strict=True):
+    assert sum((plane_echo[..., 3] > 0).sum() for plane_echo, *_ in alone[:-3]) > 100
+    assert all(intensity.any() for (intensity,) in alone[-3:])
+    samples = [*whole[:-3], *alone[:-3]]
+    for got, expected in zip(both, [*samples, *whole[-3:], *alone[-3:]], strict=True):
         for found, true in zip(got, expected, strict=True):
             np.testing.assert_array_equal(found, true)
 

@@ -336,7 +336,11 @@ def _lobes_alone(
         here = slice(0, out[s].rows), slice(places[s], places[s] + out[s].columns)
         bodies = body_id[here] if body_id.size else NO_BODIES
         out[s] = SectorSamples(out[s], plane_echo[here], bodies, face_id[here])
-    return ViewSamples(tuple(out), plane_echo, tuple(places), face_id, body_id, body_spans=whole.body_spans)
+    (of_image, u, v, limits), arrays = whole.table, (plane_echo, tuple(places), face_id, body_id)
+    of_image, u, v = np.zeros_like(of_image), u.copy(), v.copy()
+    for n, s in enumerate(lit):
+        of_image[s], u[s], v[s] = windows[n, [1, 3, 4]], out[s].sector.u, out[s].sector.v
+    return ViewSamples(tuple(out), *arrays, (of_image, u, v, limits), whole.body_spans, is_lit=True)
 
 
 def _with_lobes(views: Sequence[tuple]) -> list[list[int]]:
