@@ -9,6 +9,7 @@ import numpy as np
 
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
+from sonar_gl.batch.job_warnings import job_warnings
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
@@ -25,7 +26,7 @@ RAREST = 10  # classes
 def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     """Make some pings of a job in a temporary folder, and return a text on the job's size and time."""
     requests = BatchRequests(job)
-    for text in requests.warnings():
+    for text in job_warnings(requests):
         report(text)
     with (
         tempfile.TemporaryDirectory() as url,
@@ -42,13 +43,13 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         start_s, end_s = requests[first].time_s, requests[last].time_s
         lines.append(f"pings {first}..{last}: scene {job.scenes[run.scene]}, {start_s:g} to {end_s:g} s")
     for scene, name in enumerate(job.scenes) if job.changes_scenes else ():
-        lines.append(f"scene {name}: {_contents_text(requests.scene(scene))}")
+        lines.append(f"scene {name}: {_contents_text(requests.scenes[scene])}")
     for scene, views in enumerate(surveys):
         for name, sonar in requests.sonars.items():
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
             lines += _views_text(size, [view for view in views if view.sonar == name], requests)
             lines += [_seen_text(one) for one in tried.seen if (one.scene, one.sonar) == (scene, name)]
-        if text := other_unit_text(requests.scene(scene)):
+        if text := other_unit_text(requests.scenes[scene]):
             report(f"warning: {job.scenes[scene]}: {text}")
     parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
     files = ", each a file of the bag (a larger pings_per_part makes fewer files)"

@@ -14,6 +14,7 @@ import numpy as np
 
 from sonar_gl.batch.coco import coco_json, coco_lines, coco_records, mask_picture
 from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job_settings import counts_of_output
 from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest
 from sonar_gl.batch.optical import OpticalCamera
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
@@ -90,7 +91,7 @@ class CountsOutput(Output):
     def __init__(self, *context):
         super().__init__(*context)
         self.table = getattr(self.job, self.table_name)
-        self._counts = self.requests.counts(self.table_name)
+        self._counts = counts_of_output(self.job, self.requests.sonars, self.table_name)
 
     def with_counts(self, sonar: str, ping: Ping) -> Ping:
         """Return a ping whose sonar delivers the counts of this output."""
@@ -327,7 +328,7 @@ class OpticalOutput(Output):
             if self._renderer is not None:
                 self._renderer.close()
             self._scene = request.scene
-            scene = self.requests.scene(request.scene)
+            scene = self.requests.scenes[request.scene]
             self._renderer = OpticalCamera(scene, self.camera, device=self._device)
         pose = request.vehicle_pose @ self._mount
         rgb, depth_m = self._renderer(pose, request.bodies)

@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from sonar_gl.batch.folder import Folder
-from sonar_gl.batch.job import check_patterns
 from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest, record_name, table_name
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
 from sonar_gl.batch.schema import ArraySpec
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_module
+from sonar_gl.core.names import matching_names
 from sonar_gl.sonar.sonar import Sonar
 
 try:
@@ -233,26 +233,19 @@ class PingTable:
     moved : bodies that move, as (scene, name)
     with_reflectivity : bodies whose reflectivity varies, as (scene, name)
 
-    Raises
-    ------
-    Error
-        for a pattern in `vary.bodies` that matches no body of any scene.
     """
 
     def __init__(self, requests: BatchRequests):
-        job, self._requests = requests.job, requests
+        job, self._scenes = requests.job, requests.scenes
         self.water, self.noise = sorted(job.vary.water), sorted(job.vary.noise)
-        moved, with_reflectivity, known = {}, {}, {}  # the first two in the place of ordered sets
-        for scene in range(len(job.scenes)) if job.vary.bodies else ():
-            known |= requests.bodies_and_plumes(scene)
-            for k, table in enumerate(job.vary.bodies):
-                bodies = [(scene, name) for name in requests.moved_names(scene, k)]
+        moved, with_reflectivity = {}, {}  # ordered sets
+        for scene, contents in enumerate(requests.scenes.contents):
+            for table in job.vary.bodies:
+                bodies = [(scene, name) for name in matching_names(table.names, contents.names)]
                 moved |= dict.fromkeys(bodies)
                 if table.reflectivity is not None:
                     with_reflectivity |= dict.fromkeys(bodies)
         self.moved, self.with_reflectivity = list(moved), list(with_reflectivity)
-        for k, table in enumerate(job.vary.bodies):
-            check_patterns(table.names, known, f"{job.where}: vary.bodies[{k}].names")
         widths = {"status": 1, "scene": 1, "time_s": 1, "pose": MATRIX}
         for name, width in (("has_echo", 1), ("echo", 1), ("error_estimate", 1), ("sampling", 2)):
             widths |= {(name, sonar): width for sonar in requests.sonars}  # sampling: columns per beam, rows
@@ -277,7 +270,7 @@ class PingTable:
         put("water", [getattr(request.water, key) for key in self.water])
         put("noise", [getattr(request.noise, key) for key in self.noise])
         if self.moved:
-            known = self._requests.bodies_and_plumes(request.scene)
+            known = self._scenes.moved_bodies(request.scene).known
             poses = np.full((len(self.moved), AFFINE), np.nan)
             for k, (scene, name) in enumerate(self.moved):
                 pose = request.bodies.get(name, known[name].pose) if scene == request.scene else None

@@ -95,7 +95,7 @@ def _see_classes(batch: Batch, scene: int, count: int, report: Report) -> list[S
 def _seen_classes(batch: Batch, scene: int, sonar: str, bins: list[np.ndarray]) -> SeenClasses:
     """Return in how many pings the classes are seen, given the bins of each class in each ping."""
     schema, counts, found = batch.schema, np.array(bins), []
-    n_bodies = len(batch.requests.scene(scene).bodies)
+    n_bodies = len(batch.requests.scenes[scene].bodies)
     for number in sorted({*schema.scene_class_id(scene)[1 : 1 + n_bodies].tolist()} - {0}):
         where_seen = counts[counts[:, number] > 0, number]
         median = int(np.median(where_seen)) if len(where_seen) else 0
@@ -130,7 +130,7 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
     """Choose the samples of SURVEYED pings spread over those of a scene, and return what they need."""
     requests, found = batch.requests, []
     spread = [requests[number] for number in _spread_numbers(requests, scene, SURVEYED)]
-    scene_bodies = requests.scene(scene).bodies
+    scene_bodies = requests.scenes[scene].bodies
     bodies = ["", *(body.name for body in scene_bodies)]
     with ExitStack() as stack:
         for name, simulator in open_simulators(batch, scene, stack).items():

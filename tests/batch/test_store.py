@@ -296,7 +296,7 @@ def test_numbers_of_pings_are_those_that_were_entered(varied):
             entered = table.column(rows, (name, sonar))
             assert np.isnan(entered).all()
             entered[2:] = random.integers(1, 999, entered[2:].shape)
-    known, n_still = [{body.name: body.pose for body in varied.scene(k).bodies} for k in range(2)], 0
+    known, n_still = [{body.name: body.pose for body in varied.scenes[k].bodies} for k in range(2)], 0
     for sonar, mount in varied.mounts.items():
         variables = {one.name: one for one in ping_variables(varied, table, sonar)}
         data = {name: one.values(rows).astype(one.dtype) for name, one in variables.items()}
