@@ -17,9 +17,10 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job_settings import counts_of_output
 from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest
 from sonar_gl.batch.optical import OpticalCamera
+from sonar_gl.batch.ping_table import MADE
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
 from sonar_gl.batch.schema import Schema
-from sonar_gl.batch.store import MADE, PingStore
+from sonar_gl.batch.store import PingStore
 from sonar_gl.core.errors import errors_at
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.embed.camera import Camera

@@ -14,9 +14,10 @@ import numpy as np
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.manifest import Manifest, PartRecord, table_name
 from sonar_gl.batch.outputs import make_outputs
+from sonar_gl.batch.ping_table import MADE, SET_ASIDE, PingTable, rows_to_bytes
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
 from sonar_gl.batch.schema import Schema
-from sonar_gl.batch.store import MADE, SET_ASIDE, PingTable, check_groups, rows_to_bytes
+from sonar_gl.batch.store import check_groups
 from sonar_gl.batch.system import System
 from sonar_gl.core.errors import Error, is_out_of_memory
 from sonar_gl.core.warn import collected_warnings

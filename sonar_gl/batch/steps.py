@@ -7,13 +7,8 @@ from contextlib import ExitStack
 from sonar_gl.batch.manifest import DoneRecord, Manifest, PartRecord, default_pings_per_part
 from sonar_gl.batch.outputs import make_outputs, try_outputs
 from sonar_gl.batch.parts import Batch, Report, no_report, open_simulators
-from sonar_gl.batch.store import (
-    SonarGroup,
-    consolidate,
-    create_arrays,
-    gather_ping_variables,
-    shared_files,
-)
+from sonar_gl.batch.ping_table import gather_ping_variables
+from sonar_gl.batch.store import SonarGroup, consolidate, create_arrays, shared_files
 from sonar_gl.batch.survey import survey, try_pings
 from sonar_gl.batch.system import System, processor
 

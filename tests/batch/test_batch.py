@@ -36,11 +36,11 @@ from sonar_gl.batch.job_warnings import (
 )
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
 from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.ping_table import PingTable
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
 from sonar_gl.batch.steps import begin, create_store, finalize, make_part
-from sonar_gl.batch.store import PingTable
 from sonar_gl.batch.survey import survey, try_pings
 from sonar_gl.batch.trajectories import SectorScan
 from sonar_gl.core.toml_tables import Table
