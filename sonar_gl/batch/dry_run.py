@@ -9,6 +9,7 @@ import numpy as np
 
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
+from sonar_gl.batch.job_scenes import SceneContents
 from sonar_gl.batch.job_warnings import job_warnings
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.pool import Pool
@@ -16,7 +17,6 @@ from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.survey import HardView, SeenClasses
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.extent import other_unit_text
-from sonar_gl.scene.scene import Scene
 
 # of each scene and sonar, a dry run names so many
 HARDEST = 3  # views
@@ -40,10 +40,11 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     n, lines = manifest.n_pings, []
     for run in requests.runs:
         first, last = run.numbers[0], run.numbers[-1]
-        start_s, end_s = requests[first].time_s, requests[last].time_s
+        (start_s, _), (end_s, _) = run.at(first), run.at(last)
         lines.append(f"pings {first}..{last}: scene {job.scenes[run.scene]}, {start_s:g} to {end_s:g} s")
-    for scene, name in enumerate(job.scenes) if job.changes_scenes else ():
-        lines.append(f"scene {name}: {_contents_text(requests.scenes[scene])}")
+    if job.changes_scenes:
+        for name, contents in zip(job.scenes, requests.scenes.contents, strict=True):
+            lines.append(f"scene {name}: {_contents_text(contents)}")
     for scene, views in enumerate(surveys):
         for name, sonar in requests.sonars.items():
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
@@ -144,11 +145,10 @@ def _pose_text(pose: np.ndarray) -> str:
     return repr(" ".join(f"{x + 0.0:.4g}" for x in pose_numbers(pose)))
 
 
-def _contents_text(scene: Scene) -> str:
+def _contents_text(contents: SceneContents) -> str:
     """Return what is in a scene: its bodies, plumes, and water's surface."""
-    names = ", ".join(entry.name for entry in scene.bodies_and_plumes)
-    surface = "" if scene.surface_z_m is None else f"; the water's surface at z = {scene.surface_z_m:g} m"
-    return names + surface
+    z_m = contents.surface_z_m
+    return ", ".join(contents.names) + ("" if z_m is None else f"; the water's surface at z = {z_m:g} m")
 
 
 def _amount(size: float) -> str:

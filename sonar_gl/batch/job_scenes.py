@@ -27,10 +27,11 @@ KEPT = 2  # scenes in memory
 
 
 class SceneContents(NamedTuple):
-    """The names of what is in a scene, which are known also when the scene is no longer in memory."""
+    """The names of what is in a scene, and its surface; known also when the scene is no longer in memory."""
 
     bodies: list[str]
     plumes: list[str]
+    surface_z_m: float | None
 
     @property
     def names(self) -> list[str]:
@@ -118,10 +119,9 @@ class JobScenes(Sequence):
             with noted_files() as files:
                 in_file = self._load(index)
             scene = self._changed(in_file)
-            contents = SceneContents(
-                [body.name for body in scene.bodies], [plume.name for plume in scene.plumes]
-            )
-            check_floors(self._job, index, *contents)
+            bodies, plumes = ([entry.name for entry in kind] for kind in (scene.bodies, scene.plumes))
+            contents = SceneContents(bodies, plumes, scene.surface_z_m)
+            check_floors(self._job, index, bodies, plumes)
             self._names_in_files |= dict.fromkeys(_names(in_file))
             if index == len(self) - 1:
                 self._check_names([*self._contents, contents])

@@ -279,26 +279,6 @@ class CocoOutput(CountsOutput):
         return f"coco/{sonar}/parts/{part:07d}.jsonl"
 
 
-class LabelledBins(Output):
-    """The number of bins that have the label of each class, for a dry run; it writes nothing.
-
-    Attributes
-    ----------
-    counts : sonar -> for each ping that was added, (1 + classes,) whole numbers, by number of the class
-    """
-
-    def __init__(self, *context):
-        super().__init__(*context)
-        self.counts: dict[str, list[np.ndarray]] = {}
-
-    def add(self, request, sonar, ping, quiet):
-        if ping.body_id is not None:
-            class_id = self.schema.scene_class_id(request.scene)[: len(ping.body_echo)]
-            bins = np.bincount(ping.body_id.ravel(), minlength=len(class_id))
-            counts = np.bincount(class_id, bins, 1 + len(self.schema.classes)).astype(int)
-            self.counts.setdefault(sonar, []).append(counts)
-
-
 class OpticalOutput(Output):
     """RGB and depth of a camera on the vehicle.
 

@@ -105,7 +105,7 @@ class BatchRequests(Sequence):
         if not 0 <= number < len(self):
             raise IndexError(f"a job has pings 0..{len(self) - 1} (got {number})")
         run, vary = self.runs[bisect_right(self._starts, number) - 1], self.job.vary
-        time_s, vehicle_pose = run.trajectory[number - run.numbers.start]
+        time_s, vehicle_pose = run.at(number)
         # the ping whose draws this one has
         drawn = number - (number - run.numbers.start) % (vary.hold_pings or 1)
         random = generator(self.job.seed, VARY_STREAM, drawn)
@@ -117,7 +117,7 @@ class BatchRequests(Sequence):
         return BatchRequest(
             number,
             run.scene,
-            time_s + run.delay_s,
+            time_s,
             vehicle_pose,
             bodies,
             reflectivity,

@@ -312,9 +312,9 @@ class Schema:
         return self._backgrounds[scene]
 
     def scene_class_id(self, scene: int) -> np.ndarray:
-        """Return the class of each body of a scene by its number in that scene, (bodies + 1,) or longer."""
-        first = self.first_body[scene]
-        return np.concatenate([self.class_id[:1], self.class_id[1 + first :]])
+        """Return the class of each body of a scene by its number in that scene, (bodies + 1,)."""
+        first, n_bodies = 1 + self.first_body[scene], len(self._names_by_scene[scene])
+        return np.concatenate([self.class_id[:1], self.class_id[first : first + n_bodies]])
 
     def instances(self, scene: int) -> Instances:
         """Return the instances of COCO in a scene: bodies of one model that are of one class are one."""

@@ -34,6 +34,11 @@ class TrajectoryRun:
     numbers: range
     delay_s: float
 
+    def at(self, number: int) -> tuple[float, np.ndarray]:
+        """Return the time of a ping, and its (4, 4) world_from_vehicle."""
+        time_s, pose = self.trajectory[number - self.numbers.start]
+        return time_s + self.delay_s, pose
+
 
 def load_trajectories(job: Job) -> list[Trajectory]:
     """Return the trajectory of each table of poses; an Error names file, table and key of what is wrong in one."""

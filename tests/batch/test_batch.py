@@ -1733,7 +1733,8 @@ def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
     assert schema.bodies == ["wall", "box_1", "floor", "wall", "rock_2", "floor"]
     assert schema.classes == ["wall", "box", "floor", "rock"]
     assert schema.class_id.tolist() == [0, 1, 2, 3, 1, 4, 3]
-    assert schema.scene_class_id(1)[:4].tolist() == [0, 1, 4, 3] and schema.first_body == [0, 3]
+    assert [schema.scene_class_id(scene).tolist() for scene in (0, 1)] == [[0, 1, 2, 3], [0, 1, 4, 3]]
+    assert schema.first_body == [0, 3]
 
 
 def test_moved_bodies_and_background_need_not_be_in_every_scene(tmp_path):
