@@ -20,6 +20,7 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.steps import STEPS, make_part
 from sonar_gl.core.errors import Error, MachineError
 from sonar_gl.core.extras import missing_extra
@@ -95,7 +96,7 @@ class Cluster:
 def _batch_of_worker(job: str, url: str, any_system: bool) -> Batch:
     """Return the batch of this worker, the same from part to part. job : plain values as JSON."""
     os.environ.setdefault("LP_NUM_THREADS", "1")  # the software driver would otherwise use all cores
-    return Batch(Job(**json.loads(job)), Folder(url), any_system=any_system)
+    return Batch(BatchRequests(Job(**json.loads(job))), Folder(url), any_system=any_system)
 
 
 def _make_part(job: str, url: str, any_system: bool, part: int) -> PartRecord:

@@ -9,13 +9,14 @@ import numpy as np
 
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
+from sonar_gl.batch.job_scenes import SceneContents
+from sonar_gl.batch.job_warnings import job_warnings
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.survey import HardView, SeenClasses
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.extent import other_unit_text
-from sonar_gl.scene.scene import Scene
 
 # of each scene and sonar, a dry run names so many
 HARDEST = 3  # views
@@ -25,7 +26,7 @@ RAREST = 10  # classes
 def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     """Make some pings of a job in a temporary folder, and return a text on the job's size and time."""
     requests = BatchRequests(job)
-    for text in requests.warnings():
+    for text in job_warnings(requests):
         report(text)
     with (
         tempfile.TemporaryDirectory() as url,
@@ -39,16 +40,17 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     n, lines = manifest.n_pings, []
     for run in requests.runs:
         first, last = run.numbers[0], run.numbers[-1]
-        start_s, end_s = requests[first].time_s, requests[last].time_s
+        (start_s, _), (end_s, _) = run.at(first), run.at(last)
         lines.append(f"pings {first}..{last}: scene {job.scenes[run.scene]}, {start_s:g} to {end_s:g} s")
-    for scene, name in enumerate(job.scenes) if job.changes_scenes else ():
-        lines.append(f"scene {name}: {_contents_text(requests.scene(scene))}")
+    if job.changes_scenes:
+        for name, contents in zip(job.scenes, requests.scenes.contents, strict=True):
+            lines.append(f"scene {name}: {_contents_text(contents)}")
     for scene, views in enumerate(surveys):
         for name, sonar in requests.sonars.items():
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
             lines += _views_text(size, [view for view in views if view.sonar == name], requests)
             lines += [_seen_text(one) for one in tried.seen if (one.scene, one.sonar) == (scene, name)]
-        if text := other_unit_text(requests.scene(scene)):
+        if text := other_unit_text(requests.scenes[scene]):
             report(f"warning: {job.scenes[scene]}: {text}")
     parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
     files = ", each a file of the bag (a larger pings_per_part makes fewer files)"
@@ -143,11 +145,10 @@ def _pose_text(pose: np.ndarray) -> str:
     return repr(" ".join(f"{x + 0.0:.4g}" for x in pose_numbers(pose)))
 
 
-def _contents_text(scene: Scene) -> str:
+def _contents_text(contents: SceneContents) -> str:
     """Return what is in a scene: its bodies, plumes, and water's surface."""
-    names = ", ".join(entry.name for entry in scene.bodies_and_plumes)
-    surface = "" if scene.surface_z_m is None else f"; the water's surface at z = {scene.surface_z_m:g} m"
-    return names + surface
+    z_m = contents.surface_z_m
+    return ", ".join(contents.names) + ("" if z_m is None else f"; the water's surface at z = {z_m:g} m")
 
 
 def _amount(size: float) -> str:

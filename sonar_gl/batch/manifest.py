@@ -45,10 +45,10 @@ class Manifest:
     Attributes
     ----------
     job : the job as plain values
-    digest : that of `Schema`
+    digest : that of `JobScenes`
     n_pings, pings_per_part : number of pings in all and of each part but the last
     system : OpenGL and libraries that began the batch
-    files : `Schema.files`, by which a changed file is named
+    files : those of `JobScenes`, by which a changed file is named
     version : version of sonar_gl that began it
     processor : kind of the processor that began it; parts may be made by others
     """
@@ -81,7 +81,7 @@ class Manifest:
 
         Parameters
         ----------
-        files : `Schema.files` of now
+        files : those of `JobScenes` of now
         """
         both, either = {*self.files} & {*files}, {*self.files} ^ {*files}
         changed = [name for name in sorted(both) if self.files[name] != files[name]]

@@ -14,11 +14,13 @@ import numpy as np
 
 from sonar_gl.batch.coco import coco_json, coco_lines, coco_records, mask_picture
 from sonar_gl.batch.folder import Folder
+from sonar_gl.batch.job_settings import counts_of_output
 from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest
 from sonar_gl.batch.optical import OpticalCamera
+from sonar_gl.batch.ping_table import MADE
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
 from sonar_gl.batch.schema import Schema
-from sonar_gl.batch.store import MADE, PingStore
+from sonar_gl.batch.store import PingStore
 from sonar_gl.core.errors import errors_at
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.embed.camera import Camera
@@ -90,7 +92,7 @@ class CountsOutput(Output):
     def __init__(self, *context):
         super().__init__(*context)
         self.table = getattr(self.job, self.table_name)
-        self._counts = self.requests.counts(self.table_name)
+        self._counts = counts_of_output(self.job, self.requests.sonars, self.table_name)
 
     def with_counts(self, sonar: str, ping: Ping) -> Ping:
         """Return a ping whose sonar delivers the counts of this output."""
@@ -277,26 +279,6 @@ class CocoOutput(CountsOutput):
         return f"coco/{sonar}/parts/{part:07d}.jsonl"
 
 
-class LabelledBins(Output):
-    """The number of bins that have the label of each class, for a dry run; it writes nothing.
-
-    Attributes
-    ----------
-    counts : sonar -> for each ping that was added, (1 + classes,) whole numbers, by number of the class
-    """
-
-    def __init__(self, *context):
-        super().__init__(*context)
-        self.counts: dict[str, list[np.ndarray]] = {}
-
-    def add(self, request, sonar, ping, quiet):
-        if ping.body_id is not None:
-            class_id = self.schema.scene_class_id(request.scene)[: len(ping.body_echo)]
-            bins = np.bincount(ping.body_id.ravel(), minlength=len(class_id))
-            counts = np.bincount(class_id, bins, 1 + len(self.schema.classes)).astype(int)
-            self.counts.setdefault(sonar, []).append(counts)
-
-
 class OpticalOutput(Output):
     """RGB and depth of a camera on the vehicle.
 
@@ -327,7 +309,7 @@ class OpticalOutput(Output):
             if self._renderer is not None:
                 self._renderer.close()
             self._scene = request.scene
-            scene = self.requests.scene(request.scene)
+            scene = self.requests.scenes[request.scene]
             self._renderer = OpticalCamera(scene, self.camera, device=self._device)
         pose = request.vehicle_pose @ self._mount
         rgb, depth_m = self._renderer(pose, request.bodies)

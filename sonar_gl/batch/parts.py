@@ -12,12 +12,12 @@ from itertools import groupby
 import numpy as np
 
 from sonar_gl.batch.folder import Folder
-from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import Manifest, PartRecord, table_name
 from sonar_gl.batch.outputs import make_outputs
+from sonar_gl.batch.ping_table import MADE, SET_ASIDE, PingTable, rows_to_bytes
 from sonar_gl.batch.requests import BatchRequest, BatchRequests
 from sonar_gl.batch.schema import Schema
-from sonar_gl.batch.store import MADE, SET_ASIDE, PingTable, check_groups, rows_to_bytes
+from sonar_gl.batch.store import check_groups
 from sonar_gl.batch.system import System
 from sonar_gl.core.errors import Error, is_out_of_memory
 from sonar_gl.core.warn import collected_warnings
@@ -50,14 +50,14 @@ class Batch:
 
     Parameters
     ----------
-    job : Job
+    requests : of the job
     folder : folder of the batch
     device : index of an EGL device, or None for the default
     any_system : make parts also with another engine, driver or libraries than those that began the batch
 
     Attributes
     ----------
-    requests, schema, table : built once, and checked, as they load and hash every scene of the job
+    schema, table : built once, and checked; for them every scene of the job is read
 
     Raises
     ------
@@ -65,12 +65,16 @@ class Batch:
         if the job is invalid, or Python cannot make its store.
     """
 
-    def __init__(self, job: Job, folder: Folder, device: int | None = None, any_system: bool = False):
-        self.folder, self.device, self.any_system = folder, device, any_system
-        self.requests = BatchRequests(job)
-        check_groups(len(self.requests.sonars))
-        self.schema = Schema(self.requests)
-        self.table = PingTable(self.requests)
+    def __init__(
+        self,
+        requests: BatchRequests,
+        folder: Folder,
+        device: int | None = None,
+        any_system: bool = False,
+    ):
+        self.requests, self.folder, self.device, self.any_system = requests, folder, device, any_system
+        check_groups(len(requests.sonars))
+        self.schema, self.table = Schema(requests), PingTable(requests)
 
     @cached_property
     def manifest(self) -> Manifest:
@@ -92,7 +96,7 @@ class Batch:
 
 def open_simulators(batch: Batch, scene: int, stack: ExitStack) -> dict[str, Simulator]:
     """Open a simulator for each sonar, all with one OpenGL context."""
-    requests, shared, simulators = batch.requests, batch.requests.scene(scene), {}
+    requests, shared, simulators = batch.requests, batch.requests.scenes[scene], {}
     tolerance, device = requests.job.tolerance, batch.device
     for name, sonar in requests.sonars.items():
         shared = simulators[name] = stack.enter_context(
@@ -109,7 +113,7 @@ def reported_warnings(
     """Report the warnings of a block, also if it fails: the next try does not warn of what a simulator says once.
 
     No warning names its ping, since in a sequence it may be one that is made ahead. That a ping has no echo is not
-    reported: the table says it. Nor is a sonar in a body, of which `BatchRequests.place_warnings` tells: a simulator
+    reported: the table says it. Nor is a sonar in a body, of which `job_warnings.place_warnings` tells: a simulator
     looks at its own first ping, and which one that is depends on the number of processes. For the same reason a sonar
     in the air is reported without its height.
 

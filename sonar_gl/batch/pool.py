@@ -19,6 +19,7 @@ from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.steps import STEPS
 from sonar_gl.core.cores import count_cores
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError, is_out_of_memory
@@ -74,7 +75,7 @@ def serve(
             try:
                 if batch is None:
                     load_numba()
-                    batch = Batch(Job(**job), Folder(url), device, any_system)
+                    batch = Batch(BatchRequests(Job(**job)), Folder(url), device, any_system)
                 name, *arguments = command
                 message = "result", STEPS[name](batch, *arguments, report=report)
             except BaseException as why:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import DamagedRecordError, Folder
 from sonar_gl.batch.job import LOCATION_KEYS, Job
+from sonar_gl.batch.job_warnings import job_warnings
 from sonar_gl.batch.manifest import (
     MANIFEST_NAME,
     DoneRecord,
@@ -129,8 +130,10 @@ def run(
         raise Error(f"{url}: must be a folder that other processes see (got the memory of this one)")
     if job.ros is not None and not folder.is_local:
         raise Error(f"{job.where}: ros must be written to a folder of this machine (got {url!r})")
-    batch = Batch(job, folder)  # finds what is wrong with the job before anything is made
-    for text in batch.requests.warnings():
+    requests = BatchRequests(job)
+    warnings = list(job_warnings(requests))
+    batch = Batch(requests, folder)  # finds what is wrong with the job before anything is made
+    for text in warnings:
         report(text)
     folder.create()
     any_system = settings.any_system
@@ -142,7 +145,7 @@ def run(
         manifest = _begin(batch, settings, workers.call, report)
         if settings.mend:
             discard_damaged(folder, manifest, report)
-        outcome, finished = Outcome(batch.requests, manifest.n_pings), set()
+        outcome, finished = Outcome(requests, manifest.n_pings), set()
         for record in part_records(folder, manifest):
             outcome.add(record)
             finished.add(record.part)
@@ -202,11 +205,11 @@ def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable
 
 def _check_is_of_job(manifest: Manifest, batch: Batch) -> None:
     """Raise an Error if a manifest is of another job, or of other files."""
-    if manifest.digest == batch.schema.digest:
+    if manifest.digest == batch.requests.scenes.digest:
         return
     now, then = batch.requests.job.plain, manifest.job
     changed = [key for key in sorted({*now, *then} - {*LOCATION_KEYS}) if now.get(key) != then.get(key)]
-    changed += manifest.changed_files(batch.schema.files)
+    changed += manifest.changed_files(batch.requests.scenes.files)
     what = some_names(changed) if changed else "the contents of a file, of the job or of a scene"
     raise Error(
         f"{batch.folder.url}: a batch must be resumed with the job that began it (changed: {what}; restore "

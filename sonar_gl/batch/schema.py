@@ -5,14 +5,12 @@ Arrays have as few bits as their meaning needs, in forms that readers of CF conv
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -25,7 +23,6 @@ from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
 from sonar_gl.core.names import matching_names
 from sonar_gl.ping import Ping
-from sonar_gl.scene.scene import Scene
 from sonar_gl.sonar.sonar import Sonar
 
 BACKGROUND_WORDS = "floor", "ground", "seabed", "terrain", "heightmap", "wall"  # in names of bodies
@@ -216,21 +213,6 @@ def body_arrays(n_bodies: int, image_height: int) -> list[ArraySpec]:
     ]  # fmt: skip
 
 
-def _add_scene(digest, scene: Scene) -> None:
-    """Add to a digest all that decides a scene's echo, of which files of meshes and included models have a part."""
-    digest.update(repr((scene.surface_z_m, scene.surface_roughness_m)).encode())
-    for body in scene.bodies:
-        digest.update(
-            repr((body.name, body.material, body.specular, body.roughness_rad, body.speckle_shape)).encode()
-        )
-        arrays = (body.pose, body.surface.vertices, body.surface.faces, body.reflectivity)
-        for array in (*arrays, np.empty(0) if body.normals is None else body.normals):
-            digest.update(np.ascontiguousarray(array).tobytes())
-    for plume in scene.plumes:
-        settings = [getattr(plume, field.name) for field in fields(plume) if field.name != "pose"]
-        digest.update(repr(settings).encode() + plume.pose.tobytes())
-
-
 @dataclass(frozen=True, eq=False)
 class Instances:
     """The instances of COCO in a scene, each with the number of its first body.
@@ -254,7 +236,7 @@ class Instances:
 
 
 class Schema:
-    """Arrays, bodies and classes of a job. Build it once per process: it loads and hashes every scene.
+    """Arrays, bodies and classes of a job. Build it once per process: for it every scene is read.
 
     Attributes
     ----------
@@ -264,7 +246,6 @@ class Schema:
     class_id : (bodies + 1,), the class of each body's number, 0 for none
     body_arrays : arrays with a few numbers for each body, the same for each sonar; empty without the layer
         `boxes`
-    digest : SHA-256 of the job and of its scenes, whose meshes and models may come from files of their own
 
     Raises
     ------
@@ -275,14 +256,10 @@ class Schema:
     def __init__(self, requests: BatchRequests):
         self._requests, self._job, self._labels = requests, requests.job, requests.job.labels
         self.first_body, self.bodies, self._names_by_scene = [], [], []
-        digest = hashlib.sha256(self._job.digest.encode())
-        for index in range(len(self._job.scenes)):
-            scene = requests.scene(index)
+        for contents in requests.scenes.contents:
             self.first_body.append(len(self.bodies))
-            self._names_by_scene.append([body.name for body in scene.bodies])
-            self.bodies += self._names_by_scene[-1]
-            _add_scene(digest, scene)
-        self.digest = digest.hexdigest()
+            self._names_by_scene.append(contents.bodies)
+            self.bodies += contents.bodies
         self.classes, of_body = self._number_classes()
         self.class_id = np.array([0, *of_body], np.uint8 if len(self.classes) < 256 else np.uint16)
         self._backgrounds = [self._find_background(index) for index in range(len(self._job.scenes))]
@@ -335,9 +312,9 @@ class Schema:
         return self._backgrounds[scene]
 
     def scene_class_id(self, scene: int) -> np.ndarray:
-        """Return the class of each body of a scene by its number in that scene, (bodies + 1,) or longer."""
-        first = self.first_body[scene]
-        return np.concatenate([self.class_id[:1], self.class_id[1 + first :]])
+        """Return the class of each body of a scene by its number in that scene, (bodies + 1,)."""
+        first, n_bodies = 1 + self.first_body[scene], len(self._names_by_scene[scene])
+        return np.concatenate([self.class_id[:1], self.class_id[first : first + n_bodies]])
 
     def instances(self, scene: int) -> Instances:
         """Return the instances of COCO in a scene: bodies of one model that are of one class are one."""
@@ -369,18 +346,6 @@ class Schema:
     def arrays(self, sonar: str) -> list[ArraySpec]:
         """Return all arrays of a sonar that are written part by part."""
         return [*self.layers(sonar), *self.body_arrays]
-
-    @cached_property
-    def files(self) -> dict[str, str]:
-        """SHA-256 of each file that decides the pings: of the job, and of its scenes, such as meshes.
-
-        Names are relative to the folder of the job, of files in it.
-        """
-        folder, found = Path(self._job.folder).absolute(), {}
-        for path in map(Path, self._requests.files()):
-            name = path.relative_to(folder) if path.is_relative_to(folder) else path
-            found[name.as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
-        return found
 
     @property
     def bytes_per_ping(self) -> int:

@@ -7,13 +7,8 @@ from contextlib import ExitStack
 from sonar_gl.batch.manifest import DoneRecord, Manifest, PartRecord, default_pings_per_part
 from sonar_gl.batch.outputs import make_outputs, try_outputs
 from sonar_gl.batch.parts import Batch, Report, no_report, open_simulators
-from sonar_gl.batch.store import (
-    SonarGroup,
-    consolidate,
-    create_arrays,
-    gather_ping_variables,
-    shared_files,
-)
+from sonar_gl.batch.ping_table import gather_ping_variables
+from sonar_gl.batch.store import SonarGroup, consolidate, create_arrays, shared_files
 from sonar_gl.batch.survey import survey, try_pings
 from sonar_gl.batch.system import System, processor
 
@@ -23,13 +18,13 @@ def begin(batch: Batch, report: Report = no_report) -> Manifest:
 
     Raises Error if an output cannot be written here.
     """
-    job, schema = batch.requests.job, batch.schema
+    job, schema, scenes = batch.requests.job, batch.schema, batch.requests.scenes
     with ExitStack() as stack:
         system = System.of(next(iter(open_simulators(batch, 0, stack).values())).gl_info)
     try_outputs(batch.requests, schema, batch.folder)
     n_pings = len(batch.requests)
     per_part = job.pings_per_part or default_pings_per_part(schema.bytes_per_ping, n_pings)
-    made_of = schema.digest, n_pings, per_part, system, schema.files
+    made_of = scenes.digest, n_pings, per_part, system, scenes.files
     return Manifest(job.plain, *made_of, processor=processor())
 
 

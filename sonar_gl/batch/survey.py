@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.batch.manifest import CHUNK_PINGS
-from sonar_gl.batch.outputs import LabelledBins
+from sonar_gl.batch.outputs import Output
 from sonar_gl.batch.parts import Batch, Report, no_report, open_simulators, reported_warnings
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.scene.extent import body_around
@@ -52,6 +52,26 @@ class DryRun:
     bytes_per_ping: float
     numbers: tuple[int, ...]
     seen: list[SeenClasses]
+
+
+class LabelledBins(Output):
+    """The number of bins that have the label of each class; it writes nothing.
+
+    Attributes
+    ----------
+    counts : sonar -> for each ping that was added, (1 + classes,) whole numbers, by number of the class
+    """
+
+    def __init__(self, *context):
+        super().__init__(*context)
+        self.counts: dict[str, list[np.ndarray]] = {}
+
+    def add(self, request, sonar, ping, quiet):
+        if ping.body_id is not None:
+            class_id = self.schema.scene_class_id(request.scene)
+            bins = np.bincount(ping.body_id.ravel(), minlength=len(class_id))
+            counts = np.bincount(class_id, bins, 1 + len(self.schema.classes)).astype(int)
+            self.counts.setdefault(sonar, []).append(counts)
 
 
 def try_pings(batch: Batch, report: Report = no_report) -> DryRun:
@@ -95,8 +115,7 @@ def _see_classes(batch: Batch, scene: int, count: int, report: Report) -> list[S
 def _seen_classes(batch: Batch, scene: int, sonar: str, bins: list[np.ndarray]) -> SeenClasses:
     """Return in how many pings the classes are seen, given the bins of each class in each ping."""
     schema, counts, found = batch.schema, np.array(bins), []
-    n_bodies = len(batch.requests.scene(scene).bodies)
-    for number in sorted({*schema.scene_class_id(scene)[1 : 1 + n_bodies].tolist()} - {0}):
+    for number in sorted({*schema.scene_class_id(scene).tolist()} - {0}):
         where_seen = counts[counts[:, number] > 0, number]
         median = int(np.median(where_seen)) if len(where_seen) else 0
         found.append(SeenClass(schema.classes[number - 1], len(where_seen), median))
@@ -130,7 +149,7 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
     """Choose the samples of SURVEYED pings spread over those of a scene, and return what they need."""
     requests, found = batch.requests, []
     spread = [requests[number] for number in _spread_numbers(requests, scene, SURVEYED)]
-    scene_bodies = requests.scene(scene).bodies
+    scene_bodies = requests.scenes[scene].bodies
     bodies = ["", *(body.name for body in scene_bodies)]
     with ExitStack() as stack:
         for name, simulator in open_simulators(batch, scene, stack).items():

@@ -22,19 +22,25 @@ from pycocotools.coco import COCO
 from rosbags.highlevel import AnyReader
 
 import sonar_gl as sg
-from sonar_gl.batch import outputs, parts
-from sonar_gl.batch import requests as batch_requests
+from sonar_gl.batch import job_scenes, outputs, parts
 from sonar_gl.batch import survey as survey_module
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import LOCATION_KEYS, Job, read_job
+from sonar_gl.batch.job_warnings import (
+    device_warnings,
+    hull_warnings,
+    job_warnings,
+    model_warnings,
+    place_warnings,
+)
 from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
 from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.ping_table import PingTable
 from sonar_gl.batch.pool import IN_PROGRESS
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
 from sonar_gl.batch.steps import begin, create_store, finalize, make_part
-from sonar_gl.batch.store import PingTable
 from sonar_gl.batch.survey import survey, try_pings
 from sonar_gl.batch.trajectories import SectorScan
 from sonar_gl.core.toml_tables import Table
@@ -94,7 +100,7 @@ def pings_of(folder, requests, label_level_db=None, with_noise=True):
         samplings = zip(group.columns_per_beam.values.tolist(), group.rows.values.tolist(), strict=True)
         samplings, pings = [sg.Sampling(*one) for one in samplings], {}
         for sampling in set(samplings):
-            with sg.Simulator(requests.scene(0), sonar, requests.acoustics, sampling) as simulator:
+            with sg.Simulator(requests.scenes[0], sonar, requests.acoustics, sampling) as simulator:
                 for request in requests:
                     if samplings[request.number] == sampling:
                         pings[request.number] = simulator.ping(
@@ -247,12 +253,12 @@ def by_sound_hz(requests):
 
 
 def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
-    assert list(requests.device_warnings()) == []  # 5 pings a second
+    assert list(device_warnings(requests)) == []  # 5 pings a second
     level = requests.sonars["level"]
     job = requests.job.model_copy(update={"poses": [requests.job.poses[0] | {"ping_rate_hz": 100.0}]})
     quick = BatchRequests(job)
     quick.sonars = {"level": level, "slow": replace(level, ping_rate_max_hz=20.0)}
-    assert [text.split(": ", 2)[2] for text in quick.device_warnings()] == [
+    assert [text.split(": ", 2)[2] for text in device_warnings(quick)] == [
         f"poses[0]: sonar {name!r} makes {rate_hz:.4g} pings a second at most "
         "(got 100; its range, its ping_rate_max_hz, or the times)"
         for name, rate_hz in (("level", by_sound_hz(requests)), ("slow", 20.0))
@@ -265,7 +271,7 @@ def test_pings_that_no_sonar_makes_as_quickly_are_warned_of(requests):
         "ping_rate_hz": 100.0,
     }
     unrelated = BatchRequests(requests.job.model_copy(update={"poses": [views]}))
-    assert list(unrelated.device_warnings()) == []
+    assert list(device_warnings(unrelated)) == []
 
 
 def test_ranges_beyond_what_a_device_allows_are_warned_of(requests):
@@ -274,18 +280,18 @@ def test_ranges_beyond_what_a_device_allows_are_warned_of(requests):
     limited.sonars = {
         name: replace(level, name=name, range_limit_m=limit_m) for name, limit_m in limits.items()
     }
-    (text,) = limited.device_warnings()
+    (text,) = device_warnings(limited)
     assert text == f"warning: {requests.job.where}: {limited.sonars['short'].beyond_limit_text()}"
 
 
 def test_a_hull_that_stays_behind_is_warned_of(tmp_path, requests):
     path = write_job(tmp_path)
-    assert list(requests.hull_warnings()) == []
+    assert hull_warnings(requests, 0) == []
     world = (tmp_path / "tank.sdf").read_text()
     sensor = '<link name="mount"><sensor name="sonar" type="custom"/></link>'
     wall = world.index("</model>", world.index('<model name="wall">'))
     (tmp_path / "tank.sdf").write_text(world[:wall] + sensor + world[wall:])
-    (text,) = BatchRequests(read_job(path)).hull_warnings()
+    (text,) = hull_warnings(BatchRequests(read_job(path)), 0)
     assert text == (
         f"warning: {path}: scenes[0], 'tank.sdf': poses move the sonar alone: model 'wall', which carries it, stays "
         'where it is, and returns echo (leave it out: without = ["wall*"])'
@@ -294,12 +300,12 @@ def test_a_hull_that_stays_behind_is_warned_of(tmp_path, requests):
     (tmp_path / "tank.sdf").write_text(
         world.replace("</world>", f"{BODY.format('wall_2', '9 9 0', '1 1 1')}</world>")
     )
-    (text,) = BatchRequests(read_job(path)).hull_warnings()
+    (text,) = hull_warnings(BatchRequests(read_job(path)), 0)
     assert text.endswith('(leave it out: without = ["wall"])')
     for old, new in (("tolerance", 'without = ["wall*"]\ntolerance'), ('["box_*"]', '["box_*", "wall"]')):
         job = path.read_text()
         path.write_text(job.replace(old, new, 1))
-        assert list(BatchRequests(read_job(path)).hull_warnings()) == []
+        assert hull_warnings(BatchRequests(read_job(path)), 0) == []
         path.write_text(job)
 
 
@@ -331,8 +337,8 @@ def test_parts_that_a_table_leaves_behind_are_warned_of(tmp_path):
 
     def texts(*tables):
         requests = BatchRequests(Job(**plain | {"vary": {"bodies": list(tables)}}))
-        found = list(requests.model_warnings())
-        assert set(found) <= set(requests.warnings())
+        found = [text for index in (0, 1) for text in model_warnings(requests, index)]
+        assert set(found) <= set(job_warnings(requests))
         return found
 
     diver, away = {"names": ["diver"], "yaw_rad": [-3.0, 3.0]}, {"names": ["floor"], "z_m": -1.0}
@@ -358,30 +364,31 @@ def test_parts_that_a_table_leaves_behind_are_warned_of(tmp_path):
         assert texts(*silent) == []
 
 
-def test_hulls_are_known_of_scenes_that_were_loaded(tmp_path, monkeypatch):
-    """To load each of many scenes once more, for this warning alone, doubled the time before the first ping."""
+def test_each_of_many_scenes_is_read_once_before_the_first_ping(tmp_path, monkeypatch):
+    """For all checks and warnings: to load each of many once more doubled the time before the first ping."""
     path, names = write_job(tmp_path), [f"tank_{k}.sdf" for k in range(4)]
     for name in names:
         (tmp_path / name).write_text((tmp_path / "tank.sdf").read_text())
-    path.write_text(path.read_text().replace('["tank.sdf"]', str(names)))
-    loaded, load = [], batch_requests.load_scene
+    path.write_text(path.read_text().replace('["tank.sdf"]', f'{names}\nonly = ["wall", "box_*", "floor"]'))
+    loaded, load = [], job_scenes.load_scene
     monkeypatch.setattr(
-        batch_requests, "load_scene", lambda what, *rest: loaded.append(what) or load(what, *rest)
+        job_scenes, "load_scene", lambda what, *rest: loaded.append(Path(what).name) or load(what, *rest)
     )
-    found = open_batch(path, tmp_path / "out").requests
-    assert {Path(what).name for what in loaded} == set(names)
-    loaded.clear()
-    assert list(found.warnings()) == [] and loaded == []
+    requests = BatchRequests(read_job(path))
+    assert list(job_warnings(requests)) == []
+    batch = Batch(requests, Folder(tmp_path / "out"))
+    assert [*requests.scenes.files] == [*names, "small.toml"] and batch.schema.first_body == [0, 3, 6, 9]
+    assert loaded == names
 
 
 def test_rates_are_checked_block_by_block(requests, monkeypatch):
     """The times of all pings at once took all memory: a job may have 1e9."""
-    monkeypatch.setattr("sonar_gl.batch.requests.BLOCK_PINGS", 4)
+    monkeypatch.setattr("sonar_gl.batch.job_warnings.BLOCK_PINGS", 4)
     poses = [requests.job.poses[0] | {"ping_rate_hz": 100.0}]
     quick = BatchRequests(requests.job.model_copy(update={"poses": poses}))
     sizes, time_s = [], SectorScan.time_s
     monkeypatch.setattr(SectorScan, "time_s", lambda self, n: sizes.append(np.size(n)) or time_s(self, n))
-    assert [text.split(": ", 2)[2] for text in quick.device_warnings()] == [
+    assert [text.split(": ", 2)[2] for text in device_warnings(quick)] == [
         f"poses[0]: sonar 'level' makes {by_sound_hz(requests):.4g} pings a second at most "
         "(got 100; its range, its ping_rate_max_hz, or the times)"
     ]
@@ -589,7 +596,7 @@ def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_p
     )
     job = Job(**read_job(path).plain | {"vary": {"bodies": [{"names": ["box_1"], **shift, **turn}]}})
     requests = BatchRequests(job)
-    placed = requests.bodies_and_plumes(0)["box_1"].pose
+    placed = requests.scenes.moved_bodies(0).known["box_1"].pose
     np.testing.assert_allclose(placed, sg.pose(3, 1, -2, 0.4, 0.3, 1.1), atol=1e-12)
     expected = placed @ sg.pose(0, 0, 0, *turn.values())
     expected[:3, 3] = [3.5, 0.75, -1.875]
@@ -816,7 +823,7 @@ def test_of_two_tables_that_name_a_body_the_later_one_counts(tmp_path):
     ]
     job = Job(**read_job(path).plain | {"vary": {"bodies": tables}})
     requests = BatchRequests(job)
-    wall = {body.name: body.pose for body in requests.scene(0).bodies}["wall"]
+    wall = {body.name: body.pose for body in requests.scenes[0].bodies}["wall"]
     boxes = []
     for request in requests:
         assert request.reflectivity == {"wall": 0.1}
@@ -958,8 +965,8 @@ def warnings_of_parts(path, folder, parts, one_by_one=False):
 def test_a_sonar_inside_a_body_is_reported_whatever_process_makes_its_pings(tmp_path, one_by_one):
     path = write_enclosed_job(tmp_path)
     requests = BatchRequests(read_job(path))
-    assert list(requests.warnings()) == list(requests.place_warnings())
-    for sonar, text in zip(requests.sonars, requests.place_warnings(), strict=True):
+    assert list(job_warnings(requests)) == place_warnings(requests, 0)
+    for sonar, text in zip(requests.sonars, place_warnings(requests, 0), strict=True):
         begins = f"warning: {sonar} in tank.sdf: ping 0: the sonar at (2, 0, 0) m is inside body 'box_1', or"
         assert text.startswith(begins)
     assert warnings_of_parts(path, tmp_path / "out", [1], one_by_one) == set()
@@ -982,7 +989,7 @@ def test_a_sonar_is_inside_a_body_where_the_first_ping_has_both(tmp_path, place,
     body = BODY.format("box_1", place, "1 2 1")
     (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{body}{WALL}</world></sdf>')
     vary = {"bodies": [{"names": ["box_1"], **moved}]}
-    texts = BatchRequests(Job(**read_job(path).plain | {"vary": vary})).place_warnings()
+    texts = place_warnings(BatchRequests(Job(**read_job(path).plain | {"vary": vary})), 0)
     assert [text.split()[1] for text in texts] == warned
 
 
@@ -1125,7 +1132,7 @@ def test_a_survey_says_what_decides_the_samples_of_each_ping(tmp_path, monkeypat
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = survey(batch, 0)
-    one, other, *_ = (body.name for body in batch.requests.scene(0).bodies)
+    one, other, *_ = (body.name for body in batch.requests.scenes[0].bodies)
     expected = [
         (100, 0.04, "", False, ""),
         (200, 0.02, one, True, ""),
@@ -1296,7 +1303,7 @@ def test_pings_without_an_echo_are_those_that_no_sonar_sees_anything_in(tmp_path
     (tmp_path / "dive.csv").write_text("\n".join(["t,x,y,z,roll,pitch,yaw", *rows]))
     changes = {"poses": [{"kind": "trajectory", "file": "dive.csv"}], "only": ["wall"], "vary": {}}
     changes["noise"] = {"preset": "none"}
-    batch = Batch(Job(**read_job(path).plain | changes), Folder(tmp_path / "out"))
+    batch = Batch(BatchRequests(Job(**read_job(path).plain | changes)), Folder(tmp_path / "out"))
     begin(batch).save(batch.folder)
     create_store(batch)
     reports = []
@@ -1642,7 +1649,7 @@ def test_optical_images_are_rendered_on_the_device_of_the_process(tmp_path, monk
 
     monkeypatch.setattr(outputs, "OpticalCamera", camera)
     job = read_job(write_job(tmp_path, 2, "[optical]\nwidth = 40\nheight = 30\n"))
-    batch = Batch(job, Folder(tmp_path / "out"), device=0)
+    batch = Batch(BatchRequests(job), Folder(tmp_path / "out"), device=0)
     begin(batch).save(batch.folder)
     create_store(batch)
     make_part(batch, 0)
@@ -1702,12 +1709,11 @@ def test_a_scene_may_be_a_xacro_file_with_arguments(tmp_path):
         "<box size='1 1 1'/></geometry></collision></link>"
         "<gazebo reference='$(arg name)'><laserRetro>9</laserRetro></gazebo></robot>"
     )
-    job = read_job(tmp_path / "job.toml").model_copy(
-        update={"scenes": ["robots/wall.xacro name:=a", "robots/wall.xacro name:=b"]}
-    )
+    scenes = ["robots/wall.xacro name:=a", "robots/wall.xacro name:=b"]
+    job = Job(**read_job(tmp_path / "job.toml").plain | {"scenes": scenes, "vary": {}})
     assert tmp_path / "robots" / "wall.xacro" in job.files()
     requests = BatchRequests(job)
-    assert [requests.scene(index).bodies[0].name for index in (0, 1)] == ["a", "b"]
+    assert [requests.scenes[index].bodies[0].name for index in (0, 1)] == ["a", "b"]
 
 
 def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
@@ -1727,7 +1733,8 @@ def test_bodies_of_several_scenes_have_numbers_of_their_own(tmp_path):
     assert schema.bodies == ["wall", "box_1", "floor", "wall", "rock_2", "floor"]
     assert schema.classes == ["wall", "box", "floor", "rock"]
     assert schema.class_id.tolist() == [0, 1, 2, 3, 1, 4, 3]
-    assert schema.scene_class_id(1)[:4].tolist() == [0, 1, 4, 3] and schema.first_body == [0, 3]
+    assert [schema.scene_class_id(scene).tolist() for scene in (0, 1)] == [[0, 1, 2, 3], [0, 1, 4, 3]]
+    assert schema.first_body == [0, 3]
 
 
 def test_moved_bodies_and_background_need_not_be_in_every_scene(tmp_path):
@@ -1746,12 +1753,12 @@ def test_moved_bodies_and_background_need_not_be_in_every_scene(tmp_path):
     assert np.isnan(poses[:2, 1]).all() and np.isnan(poses[2:, 0]).all()
     assert ((shift_z >= 1) & (shift_z <= 2)).all()
     assert [Schema(requests).background(scene) for scene in (0, 1)] == [["floor"], ["sand"]]
-    for kind, place, name in (
-        (PingTable, "vary.bodies[1].names", "rock_?"),
-        (Schema, "labels.background", "sand"),
+    for changes, place, name in (
+        ({}, "vary.bodies[1].names", "rock_?"),
+        ({"vary": {}}, "labels.background", "sand"),
     ):
         with pytest.raises(sg.Error) as caught:
-            kind(BatchRequests(read_job(path)))
+            Schema(BatchRequests(Job(**read_job(path).plain | changes)))
         assert str(caught.value).startswith(f"{path}: {place} must name bodies of the scene (got {name!r};")
 
 
@@ -1791,18 +1798,21 @@ def test_names_of_bodies_need_not_be_in_every_scene(tmp_path):
     path = write_job(tmp_path, 2, "")
     text = (tmp_path / "tank.sdf").read_text().replace('world name="tank"', 'world name="o"')
     (tmp_path / "other.sdf").write_text(text.replace("floor", "sand"))
-    scenes = {"scenes": ["tank.sdf", "other.sdf"], "without": ["sand"], "only": ["wall", "floor", "sand"]}
-    requests = BatchRequests(read_job(path).model_copy(update=scenes))
-    assert [[body.name for body in requests.scene(k).bodies] for k in (0, 1)] == [["wall", "floor"], ["wall"]]
+    plain = read_job(path).plain | {"scenes": ["tank.sdf", "other.sdf"], "vary": {}}
+    changes = {"without": ["sand"], "only": ["wall", "floor", "sand"]}
+    requests = BatchRequests(Job(**plain | changes))
+    assert [[body.name for body in requests.scenes[k].bodies] for k in (0, 1)] == [
+        ["wall", "floor"],
+        ["wall"],
+    ]
     for changes, message in (
         ({"without": ["sund"]}, r"without must name bodies of the scene \(got 'sund'; did you mean 'sand'"),
         ({"only": ["sund"]}, r"only must name bodies of the scene \(got 'sund'; did you mean 'sand'"),
         ({"without": ["*"]}, r"must leave a body of each scene \(got none of scenes\[0\], 'tank.sdf'\)$"),
         ({"only": ["floor"]}, r"must leave a body of each scene \(got none of scenes\[1\], 'other.sdf'\)$"),
     ):
-        job = read_job(path).model_copy(update={"scenes": scenes["scenes"], **changes})
         with pytest.raises(sg.Error, match=rf"^{path}: .*{message}"):
-            BatchRequests(job)
+            Schema(BatchRequests(Job(**plain | changes)))
 
 
 def test_names_may_have_brackets(tmp_path):
@@ -1814,8 +1824,8 @@ def test_names_may_have_brackets(tmp_path):
     path.write_text(text.replace("seed = 5", 'seed = 5\nwithout = ["floor"]').replace(', "floor"]', "]"))
     requests = BatchRequests(read_job(path))
     assert Schema(requests).class_id.tolist() == [0, 1, 2]
-    assert requests.moved_names(0, 0) == ["box[1]"]
-    assert [body.name for body in requests.scene(0).only("box[1]").bodies] == ["box[1]"]
+    assert PingTable(requests).moved == [(0, "box[1]")]
+    assert [body.name for body in requests.scenes[0].only("box[1]").bodies] == ["box[1]"]
 
 
 @pytest.mark.slow
@@ -1839,7 +1849,7 @@ def test_a_changed_mesh_changes_the_digest(tmp_path):
     digests = set()
     for size in (1, 1, 1.01):
         trimesh.creation.box((size, 20, 20)).export(tmp_path / "wall.stl")
-        digests.add(Schema(BatchRequests(read_job(path))).digest)
+        digests.add(BatchRequests(read_job(path)).scenes.digest)
     assert len(digests) == 2
 
 
@@ -1864,7 +1874,7 @@ def test_what_an_included_model_states_of_its_surface_changes_the_digest(tmp_pat
         ("", "<sonar_gl:bubbles><rate>100</rate></sonar_gl:bubbles>"),
     ):
         (tmp_path / "rock" / "model.sdf").write_text(model.format(surface + shape, link))
-        digests.append(Schema(BatchRequests(read_job(path))).digest)
+        digests.append(BatchRequests(read_job(path)).scenes.digest)
     assert len(set(digests)) == len(digests)
 
 
@@ -1878,16 +1888,15 @@ def test_each_field_of_a_body_is_known_to_the_digest(tmp_path, monkeypatch):
         "material": "concrete", "specular": 0.25, "roughness_rad": 0.25, "speckle_shape": 2.0,
     }  # fmt: skip
     assert {field.name for field in fields(sg.Body) if field.init} == set(changed), (
-        "add a new field to the digest of scenes in sonar_gl/batch/schema.py, and then another value of it here"
+        "add a new field to the digest of scenes in sonar_gl/batch/job_scenes.py, and then another value of it here"
     )
     path = write_job(tmp_path, 2, "")
     text = path.read_text()
     path.write_text(text[: text.index("[[vary.bodies]]")])
-    requests = BatchRequests(read_job(path))
 
     def digest_of(one):
-        monkeypatch.setattr(requests, "scene", lambda index: sg.Scene([one]))
-        return Schema(requests).digest
+        monkeypatch.setattr(job_scenes, "load_scene", lambda *_: sg.Scene([one]))
+        return BatchRequests(read_job(path)).scenes.digest
 
     digests = [digest_of(body), *(digest_of(replace(body, **{name: to})) for name, to in changed.items())]
     assert len(set(digests)) == len(digests)
@@ -1898,8 +1907,7 @@ def test_the_surface_and_places_of_plumes_are_known_to_the_digest(tmp_path, monk
     path = write_job(tmp_path, 2, "")
     text = path.read_text()
     path.write_text(text[: text.index("[[vary.bodies]]")])
-    requests, body = BatchRequests(read_job(path)), sg.Body("wall", trimesh.creation.box((1, 20, 20)))
-    digests = set()
+    body, digests = sg.Body("wall", trimesh.creation.box((1, 20, 20))), set()
     for settings in (
         {},
         {"surface_z_m": 2.0},
@@ -1909,8 +1917,8 @@ def test_the_surface_and_places_of_plumes_are_known_to_the_digest(tmp_path, monk
         {"plumes": [sg.Bubbles("plume", sg.pose(3.5))]},
     ):
         scene = sg.Scene([body, *settings.pop("plumes", ())], **settings)
-        monkeypatch.setattr(requests, "scene", lambda index, scene=scene: scene)
-        digests.add(Schema(requests).digest)
+        monkeypatch.setattr(job_scenes, "load_scene", lambda *_, scene=scene: scene)
+        digests.add(BatchRequests(read_job(path)).scenes.digest)
     assert len(digests) == 6
 
 
@@ -1988,7 +1996,7 @@ def schema_of_bodies(folder, monkeypatch, names, labels=""):
     path.write_text(text[:vary] + text[text.index(mark) :])
     scene = sg.Scene([sg.Body(name, mesh, sg.pose(4.0 * k)) for k, name in enumerate(names)])
     requests = BatchRequests(read_job(path))
-    monkeypatch.setattr(requests, "scene", lambda index: scene)
+    monkeypatch.setattr(job_scenes, "load_scene", lambda *_: scene)
     return Schema(requests)
 
 

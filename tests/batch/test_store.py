@@ -10,26 +10,22 @@ import xarray as xr
 import zarr
 
 import sonar_gl as sg
-from sonar_gl.batch import store
+from sonar_gl.batch import ping_table, store
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.manifest import Manifest, table_name
-from sonar_gl.batch.requests import BatchRequests
-from sonar_gl.batch.schema import ArraySpec, bin_layers
-from sonar_gl.batch.store import (
+from sonar_gl.batch.ping_table import (
     MADE,
     NOT_MADE,
     SET_ASIDE,
-    PingStore,
     PingTable,
-    SonarGroup,
-    consolidate,
-    create_arrays,
     gather_ping_variables,
     ping_variables,
     rows_to_bytes,
-    shared_files,
 )
+from sonar_gl.batch.requests import BatchRequests
+from sonar_gl.batch.schema import ArraySpec, bin_layers
+from sonar_gl.batch.store import PingStore, SonarGroup, consolidate, create_arrays, shared_files
 from tests.support.batches import write_job
 
 N = 30
@@ -296,7 +292,7 @@ def test_numbers_of_pings_are_those_that_were_entered(varied):
             entered = table.column(rows, (name, sonar))
             assert np.isnan(entered).all()
             entered[2:] = random.integers(1, 999, entered[2:].shape)
-    known, n_still = [{body.name: body.pose for body in varied.scene(k).bodies} for k in range(2)], 0
+    known, n_still = [{body.name: body.pose for body in varied.scenes[k].bodies} for k in range(2)], 0
     for sonar, mount in varied.mounts.items():
         variables = {one.name: one for one in ping_variables(varied, table, sonar)}
         data = {name: one.values(rows).astype(one.dtype) for name, one in variables.items()}
@@ -346,8 +342,9 @@ def test_numbers_of_pings_are_gathered_whatever_blocks_they_go_through(
     varied, tmp_path, monkeypatch, block_pings
 ):
     """From the tables of parts to the store, whose numbers a second try replaces."""
-    monkeypatch.setattr(store, "TABLE_CHUNK_PINGS", block_pings)
-    monkeypatch.setattr(store, "ping_variables", _poses_alone)
+    for module in (store, ping_table):
+        monkeypatch.setattr(module, "TABLE_CHUNK_PINGS", block_pings)
+    monkeypatch.setattr(ping_table, "ping_variables", _poses_alone)
     folder, table, manifest = Folder(tmp_path), PingTable(varied), Manifest({}, "", 22, 3, None, {})
     rows = np.array([table.row(request) for request in varied])
     create_arrays(

@@ -6,6 +6,7 @@ from sonar_gl.batch.folder import LOCK, Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.steps import begin, create_store, finalize, make_part
 from tests.support.command_line import BODY, SONAR, WALL
 
@@ -111,7 +112,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def open_batch(job_file, url) -> Batch:
     """Return the batch of a job in a folder."""
-    return Batch(read_job(job_file), Folder(url))
+    return Batch(BatchRequests(read_job(job_file)), Folder(url))
 
 
 def make_all(job_file, url) -> Manifest:

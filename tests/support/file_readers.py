@@ -35,7 +35,7 @@ def run_job(folder, **names):
     names = {"scene": "pylon", "sonar": "p900-45", "file": "sound.csv"} | names
     (folder / "job.toml").write_text(JOB.format(**names))
     requests = BatchRequests(read_job(folder / "job.toml"))
-    return requests.scene(0)
+    return requests.scenes[0]
 
 
 READERS = {  # functions (folder, stem of the files that are read)

@@ -7,6 +7,7 @@ from sonar_gl.batch import run as runs
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.parts import Batch
+from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.steps import STEPS
 
 
@@ -14,7 +15,10 @@ class InlinePool:
     """Runs steps where it is; parameters as for `Pool`."""
 
     def __init__(self, job, url, devices, warn, any_system=False, is_dry_run=False):
-        self.batch, self.stopping = Batch(Job(**job), Folder(url), devices[0], any_system), False
+        self.batch, self.stopping = (
+            Batch(BatchRequests(Job(**job)), Folder(url), devices[0], any_system),
+            False,
+        )
 
     def __enter__(self):
         return self

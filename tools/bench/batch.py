@@ -111,7 +111,7 @@ def begin_batch(job: Job, manifest: Manifest, url: str) -> str:
     """Make a folder with a batch that has none of its pings; return its URL."""
     folder = Folder(url)
     manifest.save(folder)
-    create_store(Batch(job, folder))
+    create_store(Batch(BatchRequests(job), folder))
     return url
 
 
@@ -128,7 +128,7 @@ def measure_rate(job: Job, manifest: Manifest, rounds: int, workers: int, folder
     with ExitStack() as stack:
         settings = {"tolerance": job.tolerance}
         simulator = stack.enter_context(
-            sg.Simulator(requests.scene(0), sonar, requests.acoustics, **settings)
+            sg.Simulator(requests.scenes[0], sonar, requests.acoustics, **settings)
         )
         mount = requests.mounts[name]
 
@@ -179,7 +179,7 @@ def like_worker(measure: Callable, job: Job, manifest: Manifest, rounds: int, fo
 def measure_writing(job: dict, url: str, rounds: int) -> dict[str, tuple[float, float]]:
     """Return seconds a ping of STAGES and "all", by the clock and of processors, on one core."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    maker, spent = Batch(Job(**job), Folder(url)).maker, defaultdict(lambda: np.zeros(2))
+    maker, spent = Batch(BatchRequests(Job(**job)), Folder(url)).maker, defaultdict(lambda: np.zeros(2))
     running = []  # stages; of a file that the store writes, its stage counts, and not "other files"
 
     def clocked(stage, function, busy_s):
@@ -212,7 +212,7 @@ def measure_writing(job: dict, url: str, rounds: int) -> dict[str, tuple[float, 
 
 def measure_flushes(job: dict, url: str, rounds: int) -> dict[str, float]:
     """Return the times of parts that are flushed to the disk and of parts that are not."""
-    maker, flushes_s, parts_s = Batch(Job(**job), Folder(url)).maker, [], {True: [], False: []}
+    maker, flushes_s, parts_s = Batch(BatchRequests(Job(**job)), Folder(url)).maker, [], {True: [], False: []}
     real = {name: getattr(folder_module, name) for name in ("sync", "sync_file_system")}
     is_flushed = False
 
@@ -318,7 +318,7 @@ def run(options) -> dict:
     n_parts = options.workers + rounds * options.workers * (1 if quick else 4)
     job, found = make_job(n_parts * part, quick).model_copy(update={"pings_per_part": part}), {}
     with tempfile.TemporaryDirectory() as folder:
-        manifest = begin(Batch(job, Folder(folder)))
+        manifest = begin(Batch(BatchRequests(job), Folder(folder)))
         if {"rate", "plan"} & parts:
             found["rate"] = measure_rate(job, manifest, rounds, options.workers, folder)
         if "writing" in parts:

@@ -1,0 +1,252 @@
+"""What changes from ping to ping by random draws: bodies of a scene, and fields of water and noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, fields
+
+import numpy as np
+
+from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.acoustics.water import Water
+from sonar_gl.batch.job import Job, MovedTable, build
+from sonar_gl.batch.random_streams import CLEARANCE_STREAM, generator
+from sonar_gl.core.checks import check_choice
+from sonar_gl.core.errors import Error, nearest_of_many
+from sonar_gl.core.names import matching_names
+from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.noise.settings import Noise, check_moved_amounts
+from sonar_gl.scene.extent import body_bounds, gap_m
+from sonar_gl.scene.scene import Body, Scene
+
+CLEARANCE_TRIES = 100  # places that are drawn for a body; it is absent if none is clear
+SHIFT_AND_TURN = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+WHOLE_NOISE = "looks"  # the field of the noise that is a whole number, and may vary
+VARIED_WATER = tuple(field.name for field in fields(Water) if not field.name.endswith("_formula"))
+
+# ---- checks -----------------------------------------------------------------------------------------
+
+
+def check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
+    """Check the tables vary.water and vary.noise, and that both ends of their ranges are allowed."""
+    where, vary = job.where, job.vary
+    for key in vary.water:
+        check_choice("key", key, VARIED_WATER, f"{where}: vary.water")
+    check_moved_amounts(f"{where}: vary.noise", vary.noise)
+    if "median" in vary.noise:
+        raise Error(f"{where}: vary.noise: median cannot vary; set it in the table noise (got it here)")
+    for end in (0, -1):
+        for base, table, name in ((acoustics.water, vary.water, "water"), (noise, vary.noise, "noise")):
+            values = {key: np.ravel(value)[end].item() for key, value in table.items()}
+            if name == "noise" and (value := values.get(WHOLE_NOISE)) is not None:
+                if value != int(value):
+                    raise Error(f"{where}: vary.noise.{WHOLE_NOISE} must be whole numbers (got {value:g})")
+                values[WHOLE_NOISE] = int(value)
+            build(type(base), asdict(base) | values, f"{where}: vary.{name}")
+    if vary.water and acoustics.sonar_sound_speed_m_s is not None:
+        raise Error(
+            f"{where}: vary.water and acoustics.sonar_sound_speed_m_s exclude each other (got both; ranges "
+            "would differ from ping to ping; leave one out)"
+        )
+    if "wind_speed_m_s" in vary.water and acoustics.multipath != "none":
+        raise Error(
+            f"{where}: vary.water.wind_speed_m_s and acoustics.multipath exclude each other (got both; waves decide "
+            "whether the surface reflects; leave one out)"
+        )
+
+
+def check_floors(job: Job, index: int, bodies: Iterable[str], plumes: Iterable[str]) -> None:
+    """Raise an Error if a scene lacks the floor on which a table rests bodies, or it moves with them or later.
+
+    Parameters
+    ----------
+    index : of the scene in the job
+    bodies, plumes : names of what is in it
+    """
+    tables, known = job.vary.bodies, [*bodies]
+    named = [matching_names(table.names, [*known, *plumes]) for table in tables]
+    for k, (table, names) in enumerate(zip(tables, named, strict=True)):
+        floor = table.rests_on
+        if floor is None or not names:
+            continue
+        where = f"{job.where}: vary.bodies[{k}].rests_on must name a body"
+        if floor in names:
+            raise Error(f"{where} that does not move with the others (got {floor!r})")
+        later = next((n for n in range(k + 1, len(tables)) if floor in named[n]), None)
+        if later is not None:
+            raise Error(
+                f"{where} that no later table names (got {floor!r}, which vary.bodies[{later}] names; give that "
+                "table first)"
+            )
+        if floor not in known:
+            hint = nearest_of_many(floor, known)
+            raise Error(
+                f"{where} of each scene of {names[0]!r} (got {floor!r}, which scenes[{index}] lacks; {hint})"
+            )
+
+
+# ---- bodies -----------------------------------------------------------------------------------------
+
+
+class MovedBodies:
+    """The bodies and plumes of a scene that the tables `vary.bodies` change, and their random draws.
+
+    Parameters
+    ----------
+    scene : Scene
+    tables : those of the job
+    seed : that of the job
+
+    Attributes
+    ----------
+    known : name -> body or plume of the scene, also those that no table names
+    """
+
+    def __init__(self, scene: Scene, tables: list[MovedTable], seed: int):
+        self.known = {entry.name: entry for entry in scene.bodies_and_plumes}
+        self._seed = seed
+        self._tables = [(table, _groups(table, [*self.known], scene.models)) for table in tables]
+
+    def draw(self, number: int, random: np.random.Generator) -> tuple[dict, dict]:
+        """Draw the changes of a ping.
+
+        Parameters
+        ----------
+        number : of the ping
+        random : the generator of its draws
+
+        Returns
+        -------
+        bodies, reflectivity : as in `PingRequest`
+        """
+        bodies, reflectivity, taken = {}, {}, {}  # taken: what keeps clear of each other
+        for k, (table, groups) in enumerate(self._tables):
+            chosen = draw_whole(random, [0, len(groups) - 1]) if table.one_of and groups else None
+            for n, group in enumerate(groups):
+                draws = _draw_move(random, table)
+                is_present = random.random() < table.there and chosen in (None, n)
+                mu = None if table.reflectivity is None else draw_value(random, table.reflectivity)
+                for name in group:  # of two tables the later one counts, also where it changes nothing
+                    for found in (bodies, reflectivity, taken):
+                        found.pop(name, None)
+                if not group:
+                    continue
+                if is_present and table.clearance_m is not None:
+                    # a stream of its own: no other draw depends on how many these are
+                    more = generator(self._seed, CLEARANCE_STREAM, number, k, n)
+                    draws = _clear_draws(self.known, group, table, draws, more, taken)
+                    is_present = draws is not None
+                if not is_present:
+                    bodies |= dict.fromkeys(group)
+                    continue
+                if draws.any() or mu is not None or table.rests_on is not None:
+                    bodies |= _moved_poses(self.known, group, table, draws, bodies)
+                if mu is not None:
+                    reflectivity |= {name: mu for name in group if hasattr(self.known[name], "reflectivity")}
+        return bodies, reflectivity
+
+
+def _groups(table: MovedTable, known: list[str], models: Iterable[str]) -> list[list[str]]:
+    """Return the bodies of a scene that a table moves or chooses from, those that move together in one list.
+
+    A model whose name a pattern matches moves as a whole, the outermost of several: a fish with its tail.
+
+    known, models : names of all bodies and plumes of the scene, and of its models
+    """
+    names = matching_names(table.names, known)
+    if not (table.apart or table.one_of):
+        return [names]
+    # a body of MuJoCo is a model, too, whose parts are named after it
+    moved_models, groups = set(matching_names(table.names, [*models, *names])), {}
+    for name in names:
+        whole = next((whole for whole in names_of_wholes(name) if whole in moved_models), name)
+        groups.setdefault(whole, []).append(name)
+    return list(groups.values())
+
+
+def names_of_wholes(name: str) -> list[str]:
+    """Return the names of the models and bodies of which something is a part, the outermost first.
+
+    >>> names_of_wholes("school::fish::tail")
+    ['school', 'school::fish']
+    """
+    parts = name.split("::")
+    return ["::".join(parts[:n]) for n in range(1, len(parts))]
+
+
+def _moved_poses(known: dict, group: list[str], table: MovedTable, draws: np.ndarray, placed: dict) -> dict:
+    """Return the poses of bodies that move together, given their draws and the poses of tables before."""
+    poses = _drawn_poses(known, group, draws)
+    if table.rests_on is not None:
+        floor, place = known[table.rests_on], placed.get(table.rests_on)
+        of_bodies = [(known[name], pose) for name, pose in poses.items() if isinstance(known[name], Body)]
+        gap = gap_m(of_bodies, floor, floor.pose if place is None else place)
+        if math.isfinite(gap):  # else beside the floor: as drawn
+            for pose in poses.values():
+                pose[2, 3] += draws[SHIFT_AND_TURN.index("z_m")] - gap
+    return poses
+
+
+def _drawn_poses(known: dict, group: list[str], draws: np.ndarray) -> dict:
+    """Return the poses of bodies that move together, wherever the floor is."""
+    shift, turn = np.split(draws, 2)
+    pivot = known[group[0]].pose
+    move = pivot @ make_pose(0, 0, 0, *turn) @ np.linalg.inv(pivot)
+    move[:3, 3] += shift
+    return {name: move @ known[name].pose for name in group}
+
+
+def _clear_draws(
+    known: dict, group: list[str], table: MovedTable, draws: np.ndarray, random, taken: dict
+) -> np.ndarray | None:
+    """Return draws that keep bodies clear of those that are taken: further ones until they do, None if none does.
+
+    The floor has no part in it, which moves bodies up and down alone.
+
+    taken : name of a body -> the (2, 2) least and greatest x and y of the rectangle about it, and its least distance;
+        the bodies are taken, too, from then on
+    """
+    for _ in range(CLEARANCE_TRIES):
+        sides = {
+            name: body_bounds(known[name], pose)[:, :2]
+            for name, pose in _drawn_poses(known, group, draws).items()
+            if isinstance(known[name], Body)
+        }
+        if all(
+            np.maximum(a[0] - b[1], b[0] - a[1]).max() >= max(table.clearance_m, least_m)
+            for a in sides.values()
+            for b, least_m in taken.values()
+        ):
+            taken |= {name: (rectangle, table.clearance_m) for name, rectangle in sides.items()}
+            return draws
+        draws = _draw_move(random, table)
+    return None
+
+
+# ---- draws ------------------------------------------------------------------------------------------
+
+
+def _draw_move(random: np.random.Generator, table: MovedTable) -> np.ndarray:
+    """Return the (6,) shift and turn of a table."""
+    return np.array([draw_value(random, getattr(table, key)) for key in SHIFT_AND_TURN])
+
+
+def draw_value(random: np.random.Generator, value) -> float:
+    """Return a varied value. A constant takes a draw, too, so that later draws do not depend on it."""
+    share = random.random()
+    return float(value) if isinstance(value, (int, float)) else value[0] + (value[1] - value[0]) * share
+
+
+def draw_whole(random: np.random.Generator, value) -> int:
+    """Return a varied whole number: each one from the lower to the upper bound is equally probable."""
+    low, high = (int(bound) for bound in np.ravel(value)[[0, -1]])
+    return min(
+        int(draw_value(random, [low, high + 1])), high
+    )  # rounding may give the upper bound of the draw
+
+
+def draw_fields(random: np.random.Generator, table: dict) -> dict:
+    """Return the varied fields of the water or the noise."""
+    draw_as = {WHOLE_NOISE: draw_whole}
+    return {key: draw_as.get(key, draw_value)(random, value) for key, value in sorted(table.items())}
