@@ -267,8 +267,8 @@ def test_steps_and_parts_have_the_batch_of_the_worker(inside, tmp_path, monkeypa
     """It is made once: it loads scenes."""
     job, url, batches = read_job(write_job(tmp_path)), str(tmp_path / "out"), []
 
-    def batch(job, folder, any_system):
-        batches.append((job.digest, folder.url, any_system, os.environ["LP_NUM_THREADS"]))
+    def batch(requests, folder, any_system):
+        batches.append((requests.job.digest, folder.url, any_system, os.environ["LP_NUM_THREADS"]))
         return batches[-1]
 
     monkeypatch.setattr(cluster, "Batch", batch)

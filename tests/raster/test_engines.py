@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.beamform.beamformer import NO_GAIN
 from sonar_gl.beamform.kernels import range_bins
 from sonar_gl.engine import world
 from sonar_gl.raster import cull
@@ -458,7 +459,7 @@ def test_views_of_lobes_alone_are_shaded_with_the_whole_view(name, is_threaded, 
                 view.with_echo() if its_state is lobes else view
                 for view, its_state in zip(views, states, strict=True)
             ]
-            sums = [stage.beamformer.sum_view(view).intensity for view in views]
+            sums = [stage.beamformer.sum_view(view, NO_GAIN).intensity for view in views]
             samples = [one for view in views for one in view.sectors]
             arrays = [
                 (one.plane_echo, one.face_id, seen_bodies(one), one.sector.u, one.sector.v) for one in samples
