@@ -70,6 +70,8 @@ MOVED_TO_WATER = tuple(field.name for field in fields(Water))
 
 MAX_STEER_DEG = 80.0  # of a straight array: nearer to its own line a beam has no −3 dB edge on the far side
 GAUSSIAN_SUPPORT_LEVEL = 1e-4  # one-way power in azimuth at which a Gaussian beam is cut
+# Entries of the table of `receive_correlation`, which is interpolated: off by 2e-4 for a line array without taper.
+CORRELATIONS = 2049
 SKIRTS_LEVEL = (
     0.1  # two-way power in elevation below which samples are coarse, in the main lobe and the side lobes
 )
@@ -139,8 +141,8 @@ class Acoustics:
         profile.
     multipath : "none", "incoherent" or "coherent"
         Whether echoes by way of planar reflectors are added, and how the two single-bounce paths add up:
-        "incoherent" in power, "coherent" in phase. They belong to a scene more than to a device, so that no profile
-        has them.
+        "incoherent" in power, "coherent" in phase where one beam receives both. They belong to a scene more than to a
+        device, so that no profile has them.
 
     Raises
     ------
@@ -520,6 +522,33 @@ class Acoustics:
             return np.full(np.shape(azimuth_rad), width)
         edges = np.sin(azimuth_rad) + math.sin(width / 2) * np.array([[-1.0], [1.0]])
         return np.diff(np.arcsin(np.clip(edges, -1.0, 1.0)), axis=0)[0]
+
+    def receive_correlation(self, sonar: Sonar) -> tuple[np.ndarray, float]:
+        """Return how the amplitudes that beams receive of two directions correlate over beams.
+
+        Returns
+        -------
+        correlation : (CORRELATIONS,) float64, ∫a(v) a(v − u) dv / ∫a² dv of a beam's amplitude a at even squares of u,
+            the difference of the directions' sines: 1 at 0, 0 at the end
+        reach : u at the end, the whole width of the receive pattern's support
+
+        >>> from sonar_gl.sonar.sonar_files import load_sonar
+        >>> correlation, reach = Acoustics.physical().receive_correlation(load_sonar("p900-45"))
+        >>> correlation[[0, -1]].tolist(), round(math.degrees(reach), 2)
+        ([1.0, 0.0], 9.03)
+        """
+        share = np.sqrt(np.linspace(0, 1, CORRELATIONS))
+        if self.beam_pattern == "box":
+            width = math.radians(sonar.beam_width_deg)
+            reach = math.sin(min(width, math.pi / 2))
+            correlation = 1 - np.arcsin(share * reach) / width
+        else:
+            array = self._receive_array(sonar)
+            gaussian = self.beam_pattern == "gaussian"
+            reach = 2 * (array.main_lobe_sine(GAUSSIAN_SUPPORT_LEVEL) if gaussian else array.support_sine())
+            correlation = array.correlation(share * reach)
+        correlation[-1] = 0.0
+        return correlation, reach
 
     def null_rad(self, sonar: Sonar) -> float:
         """Return the shortest period over azimuth of receive and transmit pattern together, radians; 0 for a box.

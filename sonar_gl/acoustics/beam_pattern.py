@@ -8,7 +8,7 @@ place of L: with x₃ defined by B(x₃) = 1/2, L/λ = x₃ / sin(width / 2) mak
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -227,6 +227,27 @@ class ArrayPattern:
         if elements:
             return chebyshev_pattern(u * x, elements, self.side_lobe_db)
         return aperture_pattern(u * x, self.taper, self.side_lobe_db)
+
+    def correlation(self, sine) -> np.ndarray:
+        """Return ∫a(v) a(v − u) dv / ∫a² dv of the amplitude a, of the shape of `sine`: 1 at 0.
+
+        So correlate what beams receive of two directions, u apart in sine. Of a line array it is the transform of its
+        squared weights (Parseval). A Chebyshev array, which has no series, counts as Taylor's of the same side lobes.
+
+        Source: Van Trees, Optimum Array Processing, 2002
+
+        >>> pattern = ArrayPattern("line_array", math.radians(1.0))
+        >>> pattern.correlation(pattern.null_sine() * np.array([0.0, 0.5, 1.0])).round(4).tolist()  # a sinc
+        [1.0, 0.6366, 0.0]
+        """
+        if self.shape == "gaussian":
+            return self.power(sine) ** 0.25
+        taper = "taylor" if self.taper == "chebyshev" else self.taper
+        series = taper_series(taper, self.side_lobe_db)
+        of_field = np.array([*reversed(series), 1.0, *series])
+        of_square = np.convolve(of_field, of_field)[2 * len(series) :]
+        null_sine = replace(self, taper=taper).null_sine()
+        return aperture_field(np.asarray(sine) / null_sine, tuple(of_square[1:] / of_square[0]))
 
     def main_lobe_sine(self, level: float) -> float:
         """Return |u| at which the main lobe first falls to a one-way power; it may exceed 1."""

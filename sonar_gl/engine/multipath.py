@@ -14,8 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import BeamEcho, ImageSourceView
-from sonar_gl.beamform.kernels.image_sources import SAME_PLANE, Reflection, estimate_reflection, expect_imaged
+from sonar_gl.beamform.kernels.image_sources import (
+    SAME_PLANE,
+    Interference,
+    Reflection,
+    estimate_reflection,
+    expect_imaged,
+)
 from sonar_gl.beamform.kernels.views import ViewIndex, view_index
 from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.engine.body_counts import count_bodies
@@ -27,6 +34,7 @@ from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.fan import ColumnWidths
 from sonar_gl.sonar.samples import SectorSamples, ViewSamples, whole_rows
 from sonar_gl.sonar.sampling import MAX_COLUMNS_PER_BEAM, MAX_ROWS
+from sonar_gl.sonar.sonar import Sonar
 
 BIAS_M = 1e-3  # a reflector's own surface is not drawn from behind
 SWAPPED = np.diag([1.0, -1.0, 1.0, 1.0])  # the image's port is the sonar's starboard
@@ -143,7 +151,7 @@ class ImageSourceSamples:
     expected : BodySamples that the images should have, one after the other, if nothing hid from them what the sonar
         sees, and none was halved; the echo is that of one way by the image
     imaged : BodySamples of the views of the images, one after the other, as if none was halved
-    single_bounce : intensity of the two ways of a single-bounce echo together, over that of one
+    interference : of the two ways of single-bounce echoes
     own, image : Stage of the sonar and of its images
     sources : ImageSource of each reflector
     """
@@ -152,7 +160,7 @@ class ImageSourceSamples:
     direct: BodySamples
     expected: BodySamples
     imaged: BodySamples
-    single_bounce: float
+    interference: Interference
     own: Stage
     image: Stage
     sources: tuple[ImageSource, ...]
@@ -228,7 +236,7 @@ class ImageSources:
         self._draws_lobes, self._tolerance = stages.acoustics.specular, tolerance
         self._thread = thread
         self._reach_rad = acoustics.receive_support_rad(sonar)
-        self._single_bounce = 2.0 if acoustics.multipath == "coherent" else 1.0
+        self._interference = _interference_of(sonar, acoustics)
         widths, pools = ColumnWidths(WIDEST_COLUMN), stages.pools
         own_widths = widths._replace(wide_per_support=OWN_WIDE_COLUMNS)
         self._own_stages = StageCache(engine, sonar, acoustics, thread, own_widths, pools)
@@ -313,7 +321,7 @@ class ImageSources:
                     samples=np.concatenate([one.bodies.samples for one in mine]),
                     echo=np.concatenate([one.bodies.echo for one in mine]),
                 ),
-                single_bounce=self._single_bounce,
+                interference=self._interference,
                 own=own,
                 image=image,
                 sources=tuple(
@@ -462,12 +470,19 @@ def every_row(samples: SectorSamples, step: int) -> SectorSamples:
 def receive_images(images: ImageSourceSamples, gain) -> BeamEcho:
     """Return the multipath echoes of a ping."""
     beamformer, strips = images.own.beamformer, images.image.beamformer.mirrored_strips
-    own = [_view_of(source, images.single_bounce, False, beamformer.strips) for source in images.sources]
-    image = [_view_of(source, images.single_bounce, True, strips) for source in images.sources]
+    own = [_view_of(source, images.interference, False, beamformer.strips) for source in images.sources]
+    image = [_view_of(source, images.interference, True, strips) for source in images.sources]
     return beamformer.sum_image_sources(image, own, images.image.beamformer, gain)
 
 
-def _view_of(source: ImageSource, single_bounce: float, from_image: bool, strips) -> ImageSourceView:
+def _interference_of(sonar: Sonar, acoustics: Acoustics) -> Interference:
+    if acoustics.multipath != "coherent":
+        return Interference(np.empty(0), 1.0, False)
+    is_straight = acoustics.beam_pattern != "box" and sonar.steered == "straight"
+    return Interference(*acoustics.receive_correlation(sonar), is_straight)
+
+
+def _view_of(source: ImageSource, interference: Interference, from_image: bool, strips) -> ImageSourceView:
     """Return the samples of the sonar, or of its image, with the geometry of each sector."""
     own_index = tuple(source.own_index)
     sectors = source.image_view if from_image else source.own_view
@@ -477,7 +492,7 @@ def _view_of(source: ImageSource, single_bounce: float, from_image: bool, strips
             to_other=source.pose.sonar_from_image if from_image else source.pose.image_from_sonar,
             ceiling=source.ceiling,
             from_image=from_image,
-            single_bounce=single_bounce,
+            interference=tuple(interference),
             index=own_index,
             other_index=own_index if from_image else tuple(source.image_index),
             plane=source.plane,

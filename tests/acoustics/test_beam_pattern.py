@@ -455,3 +455,36 @@ def test_the_true_range_sonar_warns_of_nothing(change):
     with collected_warnings() as found:
         sg.Acoustics.physical().true_range_sonar(sonar)
     assert found == []
+
+
+@pytest.mark.parametrize(
+    ("pattern", "taper", "within"),
+    [
+        ("line_array", "uniform", 5e-3),  # side lobes reach beyond the integral
+        ("line_array", "hamming", 1e-4),  # interpolated
+        ("line_array", "taylor", 1e-3),
+        ("line_array", "chebyshev", 0.06),  # counts as Taylor's, whose side lobes fall
+        ("gaussian", "uniform", 1e-5),
+        ("box", "uniform", 2e-3),  # steps of the integral
+    ],
+)
+def test_the_amplitudes_of_two_directions_correlate_as_the_integral_over_beams(pattern, taper, within):
+    sonar = replace(sg.load_sonar("p900-45"), beam_width_deg=2.0, receive_taper=taper)
+    acoustics = sg.Acoustics.physical(beam_pattern=pattern)
+    correlation, reach = acoustics.receive_correlation(sonar)
+    square = reach**2 * np.linspace(0, 1, len(correlation))
+    width, step = np.radians(2.0), 1e-5
+    v = step * np.arange(-150_000, 150_001)
+    if pattern == "box":
+        amplitude = (np.abs(v) <= width / 2).astype(float)
+    else:
+        power = ArrayPattern(pattern, width, taper, sonar.side_lobe_db).power(v)
+        dip = (power[1:-1] < power[:-2]) & (power[1:-1] <= power[2:])  # the amplitude changes sign
+        signs = (
+            np.append(1, np.where(dip, -1, 1)).cumprod() if pattern == "line_array" else np.ones(len(v) - 1)
+        )
+        amplitude = np.sqrt(power) * np.append(signs, signs[-1])
+    for steps in (0, 500, 1500, 3500, 7000):
+        product = (amplitude[steps:] * amplitude[: len(v) - steps]).sum() / (amplitude**2).sum()
+        found = np.interp((steps * step) ** 2, square, correlation)
+        assert found == pytest.approx(product, abs=within)

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from sonar_gl.beamform.kernels import work_table
-from sonar_gl.beamform.kernels.image_sources import find_other_leg, find_single_bounce
+from sonar_gl.beamform.kernels.image_sources import (
+    Interference,
+    add_interference,
+    find_other_leg,
+    find_single_bounce,
+)
 from sonar_gl.beamform.kernels.strips import Strip
 from tests.support.worlds import random_rotation
 
@@ -100,7 +105,7 @@ def test_single_bounce_footprints_are_those_of_the_mean_of_both_ranges(samples):
     rng = np.random.default_rng(6)
     work[work_table.REFLECTED, :LAST], work[work_table.BISTATIC, :LAST] = rng.uniform(0.1, 1, (2, LAST))
     find_other_leg.py_func(work, strip, samples.other)
-    find_single_bounce.py_func(work, strip, FIRST, LAST, samples.other, 2.0)
+    find_single_bounce.py_func(work, strip, FIRST, LAST, samples.other)
     for m in range(FIRST, LAST):
         u, v = samples.middle(m)
         s, (here, there) = samples.s(m, u, v), samples.ranges(m, u, v)
@@ -120,6 +125,55 @@ def test_single_bounce_footprints_are_those_of_the_mean_of_both_ranges(samples):
         solid_angle = across * (high - low) / (1 + u * u + v * v) ** 1.5
         # spreading there and back, over that of the mean range, by which the bin's gain is
         spreading = ((here + there) / 2 / there) ** 2
-        strength = 2.0 * work[work_table.REFLECTED, m] * work[work_table.BISTATIC, m]
+        strength = work[work_table.REFLECTED, m] * work[work_table.BISTATIC, m]
         assert work[work_table.ENERGY, m] * s == pytest.approx(strength * spreading * solid_angle, rel=1e-6)
         assert work[work_table.SLANT, m] == 0.0
+
+
+@pytest.mark.parametrize("are_cones", [False, True], ids=["upright", "cones"])
+@pytest.mark.parametrize("is_straight", [False, True], ids=["alike", "straight"])
+def test_both_ways_interfere_by_the_bearings_that_they_arrive_from(are_cones, is_straight):
+    """By the difference of sines of one straight array, else by the sine of the difference; not in opposite beams."""
+    table, reach, shares = (
+        0.7 * np.linspace(1, 0, 5),
+        0.8,
+        [],
+    )  # linear in the square, so that the table is exact
+    for seed in range(12):
+        samples = Samples(np.random.default_rng(seed), are_cones)
+        work, strip = samples.work(), samples.strip
+        cosine, sine = math.cos(samples.azimuth_rad), math.sin(samples.azimuth_rad)
+        own = np.array([[cosine, -sine, 0, 0], [sine, cosine, 0, 0], [0, 0, 1, 0]])
+        work[work_table.ENERGY, :LAST] = 3.0
+        find_other_leg.py_func(work, strip, samples.other)
+        add_interference.py_func(work, strip, FIRST, LAST, own, Interference(table, reach, is_straight))
+        for m in range(FIRST, LAST):
+            place = samples.place(m, *samples.middle(m))
+            here = own[:, :3] @ place
+            there = (samples.other[:, :3] @ place + samples.other[:, 3]) * (1, -1, 1)
+            if are_cones:
+                azimuths = [math.asin(one[1] / np.linalg.norm(one)) for one in (here, there)]
+            else:
+                azimuths = [math.atan2(one[1], one[0]) for one in (here, there)]
+            apart = azimuths[0] - azimuths[1]
+            u = np.diff(np.sin(azimuths))[0] if is_straight else math.sin(apart)
+            share = max(1 - (u / reach) ** 2, 0) if is_straight or math.cos(apart) > 0 else 0.0
+            assert work[work_table.ENERGY, m] == pytest.approx(3 * (1 + 0.7 * share), rel=1e-9)
+            shares.append(share)
+    assert min(shares) == 0 and max(shares) > 0.9
+    before = work[work_table.ENERGY].copy()
+    add_interference.py_func(work, strip, FIRST, LAST, own, Interference(np.empty(0), 1.0, is_straight))
+    np.testing.assert_array_equal(work[work_table.ENERGY], before)
+
+
+def test_both_ways_by_a_level_reflector_double_to_the_last_bit():
+    """Upright beams show both legs at one azimuth, but for rounding, which the table by squares does not see."""
+    samples = Samples(np.random.default_rng(5), False)
+    work, correlation = samples.work(), np.linspace(1, 0, 2049)
+    cosine, sine = math.cos(samples.azimuth_rad), math.sin(samples.azimuth_rad)
+    own = np.array([[cosine, -sine, 0, 0], [sine, cosine, 0, 0], [0, 0, 1, 0]])
+    other = np.diag([1.0, -1.0, -1.0]) @ own + np.array([0, 0, 0, 3.0]) * np.array([[0], [0], [1]])
+    work[work_table.ENERGY, :LAST] = energy = np.random.default_rng(6).uniform(0.1, 1, LAST)
+    find_other_leg.py_func(work, samples.strip, other)
+    add_interference.py_func(work, samples.strip, FIRST, LAST, own, Interference(correlation, 0.1, False))
+    np.testing.assert_array_equal(work[work_table.ENERGY, FIRST:LAST], 2 * energy[FIRST:])

@@ -155,6 +155,66 @@ def test_a_single_bounce_echo_arrives_alike_straight_and_by_way_of_the_reflector
     assert found.sum() == pytest.approx(ahead + beside + twice, rel=1e-6)
 
 
+def line_array_amplitude(u, taper, width_rad):
+    """Return the amplitude of a beam of this -3 dB width, 1 on its axis, by summing elements."""
+    z = (np.arange(2000) + 0.5) / 2000 - 0.5
+    weights = 0.54 + 0.46 * np.cos(2 * np.pi * z) if taper == "hamming" else np.ones_like(z)
+
+    def sum_elements(x):
+        return np.cos(2 * np.pi * np.multiply.outer(x, z)) @ weights / weights.sum()
+
+    x = np.linspace(0, 1, 2001)
+    edge = np.interp(-np.sqrt(0.5), -sum_elements(x), x)
+    return sum_elements(u * edge / np.sin(width_rad / 2))
+
+
+# distances of the wall: the bearings are 0.9, 2, 2.9 and 11.3 degrees apart. The side lobes of an array without taper
+# reach beyond the fan, within which beams are summed
+@pytest.mark.parametrize(
+    ("taper", "steered", "wall_m", "within"),
+    [
+        ("hamming", "alike", 0.03, 0.003),
+        ("hamming", "straight", 0.1, 0.003),
+        ("hamming", "alike", 0.4, 0.003),
+        ("uniform", "straight", 0.07, 0.01),
+        ("uniform", "alike", 0.1, 0.01),
+    ],
+)
+def test_coherent_ways_by_a_wall_aside_sum_to_the_power_of_the_field_of_both(
+    perfect, taper, steered, wall_m, within
+):
+    """A beam at u receives a(u - u1) + a(u - u2): over all beams 1 + rho times the power of both ways."""
+    perfect("wall")
+    target_m, width_deg = 4.0, 2.0
+    wall = slab("wall", sg.pose(0, wall_m + 0.5, 0, np.pi / 2), mu=1e-6)
+    scene = sg.Scene([wall, ball(target_m, 0, 0, 0.01)])
+    sonar = sg.Sonar(
+        "test", 900e3, 240, 400, 60.0, 3.0, width_deg, 0.5, 8.5, receive_taper=taper, steered=steered
+    )
+    acoustics = replace(IDEAL, beam_pattern="line_array")
+    direct, incoherent, coherent = (
+        sg.Simulator(scene, sonar, replace(acoustics, multipath=way), sg.Sampling(24, 800), 1e-3)
+        .ping(sg.pose())
+        .intensity.sum(axis=1, dtype=np.float64)
+        for way in ("none", "incoherent", "coherent")
+    )
+    image_m, between = np.hypot(target_m, 2 * wall_m), np.arctan2(2 * wall_m, target_m)
+    azimuth = sonar.azimuth_rad
+    off = np.sin(azimuth - between)
+    if steered == "straight":
+        off = np.sin(azimuth) - np.sin(between)
+    straight, reflected = (
+        line_array_amplitude(u, taper, np.radians(width_deg)) for u in (np.sin(azimuth), off)
+    )
+    expected = (straight + reflected) ** 2
+    apart = straight**2 + reflected**2
+    single = incoherent.sum() - direct.sum() * (1 + (target_m / image_m) ** 2)
+    rho = (coherent - incoherent).sum() / single
+    assert rho == pytest.approx(expected.sum() / apart.sum() - 1, abs=within)
+    if wall_m == 0.4:  # four beams apart, none receives both
+        assert np.abs(coherent - incoherent).sum() < 1e-3 * incoherent.sum()
+
+
 SCENES = {
     "floor, rolled and pitched": (
         sg.Scene([slab("floor", sg.pose(0, 0, -0.5)), box(6, -1, 0.5, 0, 0, 0.4)]),

@@ -53,6 +53,18 @@ GRID, SKIRTS_GRID = 24, 12  # directions along each side of a sector that are tr
 HORIZON = 1e-9  # 1/x of a plane past its horizon
 
 
+class Interference(NamedTuple):
+    """How the two ways of a single-bounce echo interfere in the beams that receive both.
+
+    correlation, reach : of `Acoustics.receive_correlation`; a table of no length: they do not interfere
+    is_straight : one straight array forms all beams, by the difference of sines, not by the sine of the difference
+    """
+
+    correlation: np.ndarray
+    reach: float
+    is_straight: bool
+
+
 class Reflection(NamedTuple):
     """Geometry of the image source behind one planar reflector, for the samples of one sector.
 
@@ -60,7 +72,7 @@ class Reflection(NamedTuple):
     to_other : (4, 4) from the frame of these samples' own sonar (S or S') to that of the other one
     ceiling : (4,) a · x > offset of what lies above the water's surface, in the frame of S
     from_image : these are samples of S': echoes by way of the reflector both ways are summed, too
-    single_bounce : intensity of the two ways of a single-bounce echo together, over that of one
+    interference : plain tuple of Interference
     index, other_index : plain tuples of ViewIndex of S, and of the other one
     plane : (4,) normal and offset of normal · x = offset in the frame of S, offset > 0
     is_body : the reflector is a body and must be seen there; the water's surface is not seen
@@ -71,7 +83,7 @@ class Reflection(NamedTuple):
     to_other: np.ndarray
     ceiling: np.ndarray
     from_image: bool
-    single_bounce: float
+    interference: tuple
     index: tuple
     other_index: tuple
     plane: np.ndarray
@@ -245,7 +257,8 @@ def sum_image_source(work, plane_echo, lattice, strips, bins, elevation_pattern,
                 work, reflected_first, reflected_last, sums, spans, strip.column, bins, SHORT_RAMP
             )
         if first < last:
-            find_single_bounce(work, strip, first, last, frame.other, reflection.single_bounce)
+            find_single_bounce(work, strip, first, last, frame.other)
+            add_interference(work, strip, first, last, frame.own, Interference(*reflection.interference))
             spread_footprints(work, first, last, sums, spans, strip.column, bins, SHORT_RAMP)
     return is_reflected
 
@@ -398,7 +411,7 @@ def _find_bistatic(work, begin, end, elevation_pattern):
 
 
 @inlined
-def find_single_bounce(work, strip, first, last, other, single_bounce):
+def find_single_bounce(work, strip, first, last, other):
     """Find the footprints of echoes that go one way straight and the other by way of the reflector.
 
     first, last : samples of the strip, from the first to before the last
@@ -454,8 +467,42 @@ def find_single_bounce(work, strip, first, last, other, single_bounce):
         work[SLANT, m] = 0.0
         # r^-2 of the way there and back over that of the bin's gain, which is 1 / r'^2 of the mean range
         spreading = 1.0 / (s * range_there)
-        strength = single_bounce * work[REFLECTED, m] * work[BISTATIC, m] * spreading * spreading
+        strength = work[REFLECTED, m] * work[BISTATIC, m] * spreading * spreading
         work[ENERGY, m] = strength * across * height / (length * length2 * s)
+
+
+@inlined
+def add_interference(work, strip, first, last, own, interference):
+    """Multiply single-bounce echoes by 1 + the correlation of their two bearings in the array.
+
+    Parameters
+    ----------
+    first, last : samples of the strip, from the first to before the last
+    own : of SectorFrame
+    interference : Interference
+    """
+    table, border, line_u, tilt = interference.correlation, work[BORDER], work[LINE_U], work[TILT]
+    if not table.shape[0]:
+        return
+    scale = 1.0 / (interference.reach * interference.reach)
+    x_0, x_u, x_v, y_0, y_u, y_v = own[0, 0], own[0, 1], own[0, 2], own[1, 0], own[1, 1], own[1, 2]
+    for m in range(uint64(first), uint64(last)):
+        vc = (border[m] + border[uint64(m + 1)]) / 2
+        uc = line_u[m] + tilt[m] * vc
+        x, y = x_0 - x_u * uc + x_v * vc, y_0 - y_u * uc + y_v * vc
+        # the other leg reaches the sonar with port and starboard exchanged
+        there_x, there_y, there_z = work[X, m], -work[Y, m], work[Z, m]
+        if strip.are_cones:  # shown at the azimuth of the cone
+            length2 = 1.0 + uc * uc + vc * vc
+            x = math.sqrt(max(length2 - y * y, 0.0))
+            there_x = math.sqrt(there_x * there_x + there_z * there_z)
+        here_2, there_2 = x * x + y * y, there_x * there_x + there_y * there_y
+        both = 1.0 / math.sqrt(here_2 * there_2)
+        sine, cosine = (y * there_x - x * there_y) * both, x * there_x + y * there_y
+        if interference.is_straight:
+            sine, cosine = y / math.sqrt(here_2) - there_y / math.sqrt(there_2), 1.0
+        k, rest = _place_in_table(sine * sine * scale if cosine > 0.0 else 1.0, table.shape[0])
+        work[ENERGY, m] *= 1.0 + table[k] + rest * (table[k + 1] - table[k])
 
 
 @uncounted
