@@ -16,6 +16,7 @@ MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing the
 GLINT_REACH = 4.0  # times the rms slope: beyond, a specular lobe has 10⁻⁴ of its echo
 MAX_FLAT_FACES = 12  # directions of a body whose faces are flat: it is a glint as a whole, or not at all
 NO_GLINT = 1e-26  # of the greatest lobe: a sample with less returns nothing
+LEAST_ROUND = 0.2  # of a sphere's normals, the share in the direction that the fewest follow
 MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
 
 
@@ -54,17 +55,37 @@ def glint_share(surface, roughness_rad: float) -> float:
     body, a part of its outline as wide as that share in both directions; of a cylinder, which is round in one direction
     alone, a strip.
     """
-    faces = np.asarray(surface.faces)
-    a, b, c = np.asarray(surface.vertices, np.float64)[faces[:: 1 + len(faces) // MAX_CLIPPED_FACES].T]
-    cross = np.cross(b - a, c - a)
-    areas = np.linalg.norm(cross, axis=1)
-    normals, areas = cross[areas > 0] / areas[areas > 0, None], areas[areas > 0]
-    if len(np.unique(normals.round(2), axis=0)) <= MAX_FLAT_FACES:
+    normals, areas = _normals_and_areas(surface)
+    if _has_flat_faces(normals):
         return 1.0
     _, axes = np.linalg.eigh(normals.T @ (areas[:, None] * normals))
     is_beside = np.abs(normals @ axes[:, 0]) < 0.1  # the axis that the fewest normals follow
     is_round_once = areas[is_beside].sum() > 0.7 * areas.sum()
     return min(1.0, GLINT_REACH * roughness_rad) ** (1 if is_round_once else 2)
+
+
+def is_round(surface) -> bool:
+    """Return whether a surface is curved, and faces all directions, as a sphere does and neither a box nor a floor."""
+    normals, areas = _normals_and_areas(surface)
+    if _has_flat_faces(normals):
+        return False
+    spread = np.linalg.eigvalsh(normals.T @ (areas[:, None] * normals))
+    return bool(
+        spread[0] > LEAST_ROUND * areas.sum() / 3 and np.linalg.norm(areas @ normals) < 0.1 * areas.sum()
+    )
+
+
+def _normals_and_areas(surface) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normals (n, 3) of about MAX_CLIPPED_FACES faces that have an area, and twice these areas (n,)."""
+    faces = np.asarray(surface.faces)
+    a, b, c = np.asarray(surface.vertices, np.float64)[faces[:: 1 + len(faces) // MAX_CLIPPED_FACES].T]
+    cross = np.cross(b - a, c - a)
+    areas = np.linalg.norm(cross, axis=1)
+    return cross[areas > 0] / areas[areas > 0, None], areas[areas > 0]
+
+
+def _has_flat_faces(normals) -> bool:
+    return len(np.unique(normals.round(2), axis=0)) <= MAX_FLAT_FACES
 
 
 def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
@@ -131,6 +152,7 @@ class _Extents(NamedTuple):
     lobes : (n,), the greatest of the specular lobe
     glint_shares : (n,), 1 of bodies without a lobe
     by_face : (n,) bool, whether the reflectivity is one value a face
+    are_round : (n,) bool, of `is_round`
     own, per_unit : of `GreatestReflectivity`
     """
 
@@ -140,6 +162,7 @@ class _Extents(NamedTuple):
     lobes: np.ndarray
     glint_shares: np.ndarray
     by_face: np.ndarray
+    are_round: np.ndarray
     own: np.ndarray
     per_unit: np.ndarray
 
@@ -147,8 +170,11 @@ class _Extents(NamedTuple):
 def _extents(bodies, specular: bool) -> _Extents:
     surfaces = [body.surface for body in bodies]
     different = {id(surface): surface for surface in surfaces}  # bodies may share one
-    measured = {key: (sphere_about(_used_vertices(s)), _silhouette_m2(s)) for key, s in different.items()}
-    spheres, silhouettes_m2 = zip(*(measured[id(s)] for s in surfaces), strict=True) if surfaces else ((), ())
+    measured = {
+        key: (sphere_about(_used_vertices(s)), _silhouette_m2(s), is_round(s)) for key, s in different.items()
+    }
+    of_bodies = [measured[id(surface)] for surface in surfaces]
+    spheres, silhouettes_m2, are_round = zip(*of_bodies, strict=True) if surfaces else ((), (), ())
     radii_m = np.array([sphere.radius_m for sphere in spheres])
     lobes = [
         specular_lobe(cos_of_greatest_lobe(body.roughness_rad), body.specular * specular, body.roughness_rad)
@@ -165,6 +191,7 @@ def _extents(bodies, specular: bool) -> _Extents:
         np.array(lobes),
         np.array(shares),
         np.array([np.ndim(body.reflectivity) > 0 for body in bodies], bool),
+        np.array(are_round, bool),
         *GreatestReflectivity.of(bodies),
     )
 
@@ -273,6 +300,11 @@ class BodyExtents:
     def by_face(self) -> np.ndarray:
         """(bodies + 1,) bool by number, whether the reflectivity is one value a face."""
         return np.concatenate([[False], self._columns.by_face])
+
+    @property
+    def are_round(self) -> np.ndarray:
+        """(bodies + 1,) bool by number, whether the surface is curved and faces all directions."""
+        return np.concatenate([[False], self._columns.are_round])
 
     def sphere_about(self, number: int) -> Sphere:
         """Return the sphere about a body, in its frame; number : of the body, from 1."""

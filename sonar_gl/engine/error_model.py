@@ -46,6 +46,9 @@ from sonar_gl.sonar.sector import SHEAR
 COARSER = 2  # times fewer samples: with 3 or 4 both lattices miss some rods before a floor
 DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's own echo
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
+# Near the outline of a round body the footprints of both lattices reach too far alike. Where such bodies return more
+# than this share of the echo, the difference counts for more, of round bodies alone by this share of it.
+MOSTLY_ROUND, ROUND_FACTOR = 0.6, 1.3
 UNEVEN_FACTOR = 1.5  # of the standard deviation of an echo whose faces return unlike shares
 # With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
 MAX_COMPARED_SAMPLES = 1000
@@ -217,8 +220,11 @@ class ErrorModel:
         if tried.echo.total <= 0:
             return ErrorEstimate(0.0, 0.0)  # nothing to judge by, and coarser samples would tell no more
         counts = tried.counts
-        of_strips = float(np.abs(counts.of_strips - counts.echo).sum() / max(counts.echo.sum(), 1e-30))
-        error = wrong_share(tried.echo, before.echo, coarser) + of_strips
+        total = max(counts.echo.sum(), 1e-30)
+        of_strips = float(np.abs(counts.of_strips - counts.echo).sum() / total)
+        of_round = float(counts.echo[self._current_extents().are_round].sum() / total)
+        only_round = max(of_round - MOSTLY_ROUND, 0.0) / (1 - MOSTLY_ROUND)
+        error = wrong_share(tried.echo, before.echo, coarser) * (1 + ROUND_FACTOR * only_round) + of_strips
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
         return ErrorEstimate(error, steps)
 

@@ -107,6 +107,26 @@ def test_a_face_of_a_single_row_that_another_hides_has_the_place_of_a_row():
     assert borders(samples)[1][row] == pytest.approx(below.meets(face), abs=1e-6)
 
 
+def test_the_tangent_planes_of_a_curved_surface_share_no_edge():
+    """They meet outside it: up to their edges they return more than the surface, most of all near its outline."""
+    distance, radius = 5.0, 0.9  # of an upright circle about (distance, 0)
+    samples = []
+    for v in V:
+        inside = distance**2 - (1 + v * v) * (distance**2 - radius**2)
+        if inside <= 0:
+            samples.append((0.0, 0.0, 0.0, 0.0))
+            continue
+        x = (distance - math.sqrt(inside)) / (1 + v * v)
+        normal = (
+            x - distance,
+            v * x,
+        )  # of the tangent, on which normal · (x, z) is that of the place that is met
+        level = normal[0] * x + normal[1] * v * x
+        samples.append(Plane(normal[0] / level, normal[1] / level).sample(v))
+    assert 30 < sum(q > 0 for q, *_ in samples) < ROWS
+    np.testing.assert_allclose(borders(samples)[1][2 : ROWS - 1], HALF_WAY[1:-1], rtol=0, atol=1e-12)
+
+
 def test_level_bars_return_as_much_as_they_should():
     """Seen from a little above, each shows a bright front and a narrow dark top, which most rows miss.
 

@@ -29,9 +29,9 @@ START, V_LOWEST, V_HIGHEST, ECHO_RISE = range(11, 15)
 # `find_intervals`: both ends, half the height, and the bins of both ends.
 ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN = range(15, 25)
 # The same rows until there are footprints. By `divide_faces`: the row in which a piece begins, and a place for the echo
-# at its lower end. By `find_edges`: v of the edge between a sample and the one below, and whether it met its plane. By
-# `find_narrow`: whether other rows miss the face.
-PIECE, ECHO_BELOW, EDGE, REPEATED, NARROW = ENERGY, S, A, B, SLANT
+# at its lower end. By `find_edges`: v of the edge between a sample and the one below, whether it met about its plane,
+# and whether exactly. By `find_narrow`: whether other rows miss the face.
+PIECE, ECHO_BELOW, EDGE, REPEATED, NARROW, FLAT = ENERGY, S, A, B, SLANT, NEAR
 # Labels, by `find_angles`: elevation and incidence in the middle, radians, and how they change with s.
 ELEVATION, INCIDENCE, ELEVATION_RISE, INCIDENCE_RISE = range(25, 29)
 # Image sources: position of each sample for the other of S and S', and whether that is before the surface; a direction
