@@ -33,7 +33,7 @@ FIXED_SAMPLES, BARE_BIN, CHECK_COST = 45_000, 0.15, 2.1
 # samples, which takes new memory, no more than MOST_FINER_COST times.
 MOST_COST, MOST_FINER_COST, RECENT = 2.3, 1.65, 100
 # So many pings with echo, each near the one before, are a loop that must not stall. Fewer are those of a program that
-# looks at bodies now and then, or has others in each ping.
+# looks at bodies now and then, or has others in each ping; or of a loop that has just begun.
 LOOP_PINGS = 10
 
 
@@ -151,28 +151,34 @@ class AdaptiveSampling:
             self._model.coarser_stage(resolution.stage)
         return replace(resolution, check=check)
 
-    def review(self, received: ReceivedPing):
-        """Estimate the error of a ping if that is due.
+    def review(self, received: ReceivedPing) -> Resolution | None:
+        """Estimate the error of a ping if that is due; return other samples if it is to be sampled again.
 
-        Finer or coarser samples are those of the next pings, so that none takes much longer than those before: also if
-        this one is the first with an echo, of which the samples before could know nothing.
+        It is if its echo is the first one, but for a loop that had others before. Otherwise finer or coarser samples
+        are those of the next pings, so that none takes much longer than those before.
         """
         drawn, total, choice = received.drawn, received.direct.total, self.choice
         setup, resolution = drawn.setup, drawn.resolution
         if resolution.is_final or not (resolution.check or self.has_changed(total)):
-            return
-        if not (resolution.check or self._can_check(choice.level, self.history.costs)):
+            return None
+        costs = self.history.costs
+        is_first_echo = choice.last_check.total <= 0 < total and len(costs) < LOOP_PINGS
+        if not (resolution.check or is_first_echo or self._can_check(choice.level, costs)):
             self.choice = choice if choice.is_due else replace(choice, is_due=True)
-            return
+            return None
         tried = self._model.tried(resolution.stage, drawn.view, received.direct)
         judged = self._model.judge(setup, choice.level, tried)
+        is_kept = self._is_kept(choice, judged)
+        if is_first_echo and not is_kept:
+            return self._search(setup)
         check = LastCheck(setup, total, self.history.n_pings)
         checked = replace(choice, plan=judged.plan, last_check=check, is_due=False)
-        if self._is_kept(choice, judged):
+        if is_kept:
             self.choice = checked
             self._warn_if_unmet(checked.plan)
         else:
             self.choice = self._moved(checked, choice.level + judged.steps)
+        return None
 
     def _is_kept(self, choice: Choice, judged: Judgement) -> bool:
         """Return whether pings keep their level: finer samples are not needed, or do not fit, or half would not do."""
@@ -181,7 +187,11 @@ class AdaptiveSampling:
         return choice.level == 0 or judged.steps > -LEVELS_PER_HALF
 
     def _search(self, setup: PingSetup) -> Resolution:
-        """Choose the coarsest level that keeps the tolerance in a ping, and return its samples to draw it with."""
+        """Choose the coarsest level that keeps the tolerance in a ping, and return its samples to draw the ping with.
+
+        Also if the level is that of before: the search has drawn other samples over those of the ping, of which image
+        sources may still be in need.
+        """
         found = self.search.find_coarsest(setup, self.choice.level)
         check = LastCheck(setup, found.total, self.history.n_pings)
         self._warn_if_unmet(found.plan)

@@ -154,7 +154,7 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
                 received = _sample_once(run, setup, resolution)
         except SampleLimitError as error:
             resolution = run.fewer_samples(error, received, resolution)
-        else:  # multipath may be sampled too coarsely
+        else:  # a body may have come into view, or multipath may be sampled too coarsely
             resolution = run.review(received, before if resolution.finer_images else None)
     return received
 

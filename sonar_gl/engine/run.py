@@ -234,15 +234,15 @@ class Run:
             self._idle_workers[:] = [*self._idle_workers, *workers][-len(workers) :]
 
     def review(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> Resolution | None:
-        """Return the resolution with which to sample a ping's image sources again, or None if it is good.
+        """Return the resolution with which to sample a ping again, or None if its samples keep the tolerance.
 
         coarser : the ping with fewer samples of image sources, to compare with; None for none
         """
-        self.sampler.review(received)
-        if not self._review_images(received, coarser):
-            return None
-        halvings = self.image_sampling.choice.halvings
-        return replace(received.drawn.resolution, halvings=halvings, is_final=True, finer_images=True)
+        resolution = self.sampler.review(received)
+        if resolution is None and self._review_images(received, coarser):
+            halvings = self.image_sampling.choice.halvings
+            return replace(received.drawn.resolution, halvings=halvings, is_final=True, finer_images=True)
+        return resolution
 
     def fewer_samples(
         self, error: SampleLimitError, received: ReceivedPing | None, resolution: Resolution

@@ -35,8 +35,8 @@ class Sampler(Protocol):
     def resolution_for(self, setup: PingSetup) -> Resolution:
         """Add a ping to the history, and return its samples."""
 
-    def review(self, received: ReceivedPing):
-        """Choose the samples of later pings by what a ping has received."""
+    def review(self, received: ReceivedPing) -> Resolution | None:
+        """Return the samples to draw the ping with once more, or None if it is good."""
 
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return fewer samples for a ping whose samples are more than fit, or raise the error again."""
@@ -83,8 +83,8 @@ class FixedSampling:
         """Return the samples."""
         return self.resolution
 
-    def review(self, received: ReceivedPing):
-        """Do nothing: there are no others."""
+    def review(self, received: ReceivedPing) -> None:
+        """Return None: there are no others."""
 
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Raise the error."""
