@@ -27,7 +27,8 @@ from sonar_gl.sonar.sonar import Sonar
 
 CHECK_CHANGE = 0.2  # of the whole echo
 # A ping takes the time of its samples, of one for each bin of each beam (of BARE_BIN without a matched filter), and of
-# FIXED_SAMPLES; with a check of its error CHECK_COST times as long. By the pings of `tools/bench live`.
+# FIXED_SAMPLES; with a check of its error CHECK_COST times as long. By the pings of `tools/bench live`, BARE_BIN by
+# such loops of profile `ideal`.
 FIXED_SAMPLES, BARE_BIN, CHECK_COST = 45_000, 0.15, 2.1
 # No ping may cost more than MOST_COST times the usual one of the RECENT ones up to it, and the first one with finer
 # samples, which takes new memory, no more than MOST_FINER_COST times.
