@@ -16,7 +16,9 @@ MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing the
 GLINT_REACH = 4.0  # times the rms slope: beyond, a specular lobe has 10⁻⁴ of its echo
 MAX_FLAT_FACES = 12  # directions of a body whose faces are flat: it is a glint as a whole, or not at all
 NO_GLINT = 1e-26  # of the greatest lobe: a sample with less returns nothing
-LEAST_ROUND = 0.2  # of a sphere's normals, the share in the direction that the fewest follow
+LEAST_ROUND = (
+    0.2  # of a sphere's normals in one direction; a cylinder, and no floor, has more in two directions
+)
 MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
 
 
@@ -65,13 +67,13 @@ def glint_share(surface, roughness_rad: float) -> float:
 
 
 def is_round(surface) -> bool:
-    """Return whether a surface is curved, and faces all directions, as a sphere does and neither a box nor a floor."""
+    """Return whether a surface is curved all round, about a point or an axis, as neither a box nor a floor is."""
     normals, areas = _normals_and_areas(surface)
     if _has_flat_faces(normals):
         return False
     spread = np.linalg.eigvalsh(normals.T @ (areas[:, None] * normals))
     return bool(
-        spread[0] > LEAST_ROUND * areas.sum() / 3 and np.linalg.norm(areas @ normals) < 0.1 * areas.sum()
+        spread[1] > LEAST_ROUND * areas.sum() / 3 and np.linalg.norm(areas @ normals) < 0.1 * areas.sum()
     )
 
 
