@@ -3,6 +3,7 @@
     python -m tools.promise                         # 100 worlds, some twenty minutes
     python -m tools.promise --worlds 20 --first 500
     python -m tools.promise --worlds 20 --alone     # samples chosen from each ping alone, as in batches
+    python -m tools.promise --lone 20               # of a sphere, a pile, a capsule or an ellipsoid in open water
     python -m tools.promise --pools 20              # of the sum of direct and multipath echoes
 
 A world (`tests/support/worlds.py`) is a scene, a sonar and a pose by a seed: boxes, cylinders, thin rods,
@@ -33,7 +34,7 @@ import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.sonar.sampling import WORST_BODY, level_of, sampling_at
-from tests.support.worlds import random_pool, random_world
+from tests.support.worlds import random_lone_body, random_pool, random_world
 from tools import internals
 from tools.bench import harness
 
@@ -110,8 +111,8 @@ class World:
     uncertainty : Errors, how far off the truth may be: its halves differ by twice that
     """
 
-    def __init__(self, seed: int, truth_error: float = TRUTH_ERROR):
-        self.seed, (self._scene, self.sonar, self.pose) = seed, random_world(seed)
+    def __init__(self, seed: int, truth_error: float = TRUTH_ERROR, make=random_world):
+        self.seed, (self._scene, self.sonar, self.pose) = seed, make(seed)
         self._acoustics = sg.Acoustics.physical() if seed % 2 else sg.Acoustics.ideal()
         what = self._scene, self.sonar, self.pose, self._acoustics
         self.truth = sg.reference_ping(*what, truth_error, MOST_RAYS)
@@ -297,18 +298,20 @@ def main():
     """Try worlds from the first seed on."""
     parser = argparse.ArgumentParser(prog="python -m tools.promise", description=__doc__.partition("\n")[0])
     parser.add_argument("--worlds", type=int, default=100, help="how many with an echo")
+    parser.add_argument("--lone", type=int, help="how many with a single round body, in place of worlds")
     parser.add_argument("--pools", type=int, help="how many with multipath, in place of worlds")
     parser.add_argument("--first", type=int, default=1000, help="the first seed")
     parser.add_argument("--alone", action="store_true", help="have each ping choose its samples alone")
     options = parser.parse_args()
-    if options.pools and options.alone:
-        parser.error("--alone is of worlds, not of --pools")
+    if options.pools and (options.alone or options.lone):
+        parser.error("--alone and --lone are of worlds, not of --pools")
+    make = random_lone_body if options.lone else random_world
     try_ping = try_alone if options.alone else try_plan_and_cost
     outcomes, left_out, seed, first = [], [], options.first, options.first
     with warnings.catch_warnings(), contextlib.suppress(KeyboardInterrupt):  # Ctrl-C prints the table so far
         warnings.simplefilter("ignore", UserWarning)
-        while len({o.seed for o in outcomes}) < (options.pools or options.worlds):
-            tried = try_pool(seed) if options.pools else try_tolerances(World(seed), try_ping)
+        while len({o.seed for o in outcomes}) < (options.pools or options.lone or options.worlds):
+            tried = try_pool(seed) if options.pools else try_tolerances(World(seed, make=make), try_ping)
             outcomes += tried or []
             left_out += [seed] if tried is None else []
             seed += 1

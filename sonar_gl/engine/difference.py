@@ -11,16 +11,19 @@ from sonar_gl.sonar.sampling import ERROR_RATE
 ERROR_FACTOR = 1.4  # of the error that the difference shows: 19 of 20 lie below
 
 
-def wrong_share(echo: BeamEcho, before: BeamEcho, coarser: float) -> float:
+def wrong_share(echo: BeamEcho, before: BeamEcho, coarser: float, alike: float = 0.0) -> float:
     """Return a bound of the share of an echo in wrong bins, which 19 of 20 keep, by the difference from another one.
 
     Parameters
     ----------
     before : of the same view, summed from fewer samples
     coarser : how many times fewer
+    alike : share of the error, 0 to 1, that both have alike but for its size, rather than each its own
     """
-    difference = _sum_of_differences(echo.intensity, before.intensity)
-    return ERROR_FACTOR * share_of_difference(coarser, ERROR_RATE / 2) * float(difference / echo.total)
+    factor = (1 - alike) * ERROR_FACTOR * share_of_difference(coarser, ERROR_RATE / 2)
+    if alike:
+        factor += alike / (coarser ** (ERROR_RATE / 2) - 1)
+    return factor * float(_sum_of_differences(echo.intensity, before.intensity) / echo.total)
 
 
 def share_of_difference(coarser: float, rate: float) -> float:

@@ -25,7 +25,7 @@ from sonar_gl.engine.body_counts import (
     count_bodies,
 )
 from sonar_gl.engine.body_extents import BodyExtents
-from sonar_gl.engine.difference import ERROR_FACTOR, share_of_difference, wrong_share
+from sonar_gl.engine.difference import share_of_difference, wrong_share
 from sonar_gl.engine.flow import PingSetup, Plan
 from sonar_gl.engine.obstruction import is_unobstructed
 from sonar_gl.engine.reception import Reception, reception_of
@@ -46,11 +46,9 @@ from sonar_gl.sonar.sector import SHEAR
 COARSER = 2  # times fewer samples: with 3 or 4 both lattices miss some rods before a floor
 DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's own echo
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
-# Near the outline of a round body the footprints of both lattices reach too far alike: from n samples by e, from a half
-# of them by 2^(ERROR_RATE / 2) e. Of such errors the difference shows so little that the estimate has to be
-# 1 + ROUND_FACTOR times as large. It grows from where such bodies return MOSTLY_ROUND of the echo.
+# Near the outline of a round body the footprints of both lattices reach too far alike. Such errors count from where
+# these bodies return more than this share of the echo, towards all of it.
 MOSTLY_ROUND = 0.8
-ROUND_FACTOR = math.sqrt(1 + COARSER**ERROR_RATE) / (COARSER ** (ERROR_RATE / 2) - 1) / ERROR_FACTOR - 1
 UNEVEN_FACTOR = 1.5  # of the standard deviation of an echo whose faces return unlike shares
 # With more samples on a body, whole samples at the ends of range and aperture dominate that difference.
 MAX_COMPARED_SAMPLES = 1000
@@ -225,8 +223,8 @@ class ErrorModel:
         total = max(counts.echo.sum(), 1e-30)
         of_strips = float(np.abs(counts.of_strips - counts.echo).sum() / total)
         of_round = float(counts.echo[self._current_extents().are_round].sum() / total)
-        only_round = max(of_round - MOSTLY_ROUND, 0.0) / (1 - MOSTLY_ROUND)
-        error = wrong_share(tried.echo, before.echo, coarser) * (1 + ROUND_FACTOR * only_round) + of_strips
+        alike = max(of_round - MOSTLY_ROUND, 0.0) / (1 - MOSTLY_ROUND)
+        error = wrong_share(tried.echo, before.echo, coarser, alike) + of_strips
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
         return ErrorEstimate(error, steps)
 

@@ -22,6 +22,9 @@ FIRST_SAMPLES = 1 << 14
 # Finer by at most so many levels at once, four times the samples: estimates from few samples are rough. What is tried
 # on the way costs a third of the last try.
 MOST_STEPS_ALONE = 4
+# times the samples of the try before, which are too much alike otherwise: columns are whole fractions of a beam, so
+# that a level may have the very samples of the one below
+LEAST_FINER = 1.3
 
 
 class ChosenView(NamedTuple):
@@ -116,7 +119,14 @@ class LevelSearch:
                 continue
             if judged.steps <= 0 or level == finest:
                 return ChosenView(tried, judged.plan)
-            level, before = level + min(judged.steps, MOST_STEPS_ALONE), tried
+            fewest = LEAST_FINER * tried.stage.sampling.count(self._stages.sonar)
+            level += min(judged.steps, MOST_STEPS_ALONE)
+            while level < finest and self._count(level) < fewest:
+                level += 1
+            before = tried if self._count(min(level, finest)) >= fewest else None
+
+    def _count(self, level: int) -> float:
+        return self.model.sampling_at(level).count(self._stages.sonar)
 
     def find_coarsest(self, setup: PingSetup, first: int, finest: int | None = None) -> FoundLevel:
         """Find the coarsest level that keeps the tolerance in a ping, or the finest that fits.

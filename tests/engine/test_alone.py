@@ -10,7 +10,8 @@ import sonar_gl as sg
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import error_model, level_search, sequence
 from sonar_gl.engine import stage as stage_module
-from sonar_gl.engine.error_model import ErrorModel
+from sonar_gl.engine.error_model import ErrorModel, Judgement
+from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.stage import Stage, StageCache
@@ -89,19 +90,38 @@ def test_a_hard_view_makes_no_other_ping_finer():
 
 
 def test_each_further_try_is_compared_with_the_one_before(monkeypatch):
-    """Views: of the rods three tries, and one coarser than the first; of the wall one, and one coarser."""
+    """Views: of the rods some tries, and one coarser than the first; of the wall one, and one coarser."""
     monkeypatch.setattr(level_search, "MOST_STEPS_ALONE", 2)
-    real, views = error_model.count_bodies, []
-    monkeypatch.setattr(
-        error_model, "count_bodies", lambda samples, *args: views.append(samples) or real(samples, *args)
-    )
+    count, judge, views, tries = error_model.count_bodies, ErrorModel.judge, [], []
+    monkeypatch.setattr(error_model, "count_bodies", lambda *args: views.append(args) or count(*args))
+    monkeypatch.setattr(ErrorModel, "judge", lambda *args: tries.append(args) or judge(*args))
     with sg.Simulator(SCENE, SONAR, tolerance=0.008) as simulator:
         counts = []
         for one in (requests()[2], requests()[0]):
             views.clear()
+            tries.clear()
             make_ping(simulator.run, one)
-            counts.append(len(views))
-    assert counts == [4, 2]
+            counts.append((len(tries), len(views)))
+    (of_rods, views_of_rods), of_wall = counts
+    assert of_rods > 2 and views_of_rods == of_rods + 1 and of_wall == (1, 2)
+
+
+@pytest.mark.parametrize(("sonar", "level"), [("imagenex-deltat", 10), ("p900-45", 3), ("didson-hf", 2)])
+def test_each_further_try_has_more_samples(sonar, level, monkeypatch):
+    """Columns of whole fractions of a beam let some levels have the same samples, which differ by nothing."""
+    preset, counts = sg.load_sonar(sonar), []
+
+    def judge(model, setup, level, tried, before=None):
+        counts.append([one.stage.sampling.count(preset) for one in (before, tried) if one is not None])
+        plan = Plan(tried.stage.sampling, level, 1.0, 1.0, 0, False, tried.stage.fan.n_samples)
+        return Judgement(plan, steps=1)
+
+    monkeypatch.setattr(ErrorModel, "judge", judge)
+    monkeypatch.setattr(level_search, "level_of", lambda sonar, n_samples: level)
+    monkeypatch.setattr(level_search, "FINEST_LEVEL", level + 5)
+    with sg.Simulator(ONE_BALL, preset, tolerance=0.5) as simulator:
+        make_ping(simulator.run, PingRequest(np.eye(4), alone=True))
+    assert len(counts) > 2 and all(more > 1.25 * fewer for fewer, more in counts[1:])
 
 
 def test_further_views_are_drawn_with_the_one_that_is_tried(monkeypatch):

@@ -97,6 +97,27 @@ def random_world(seed: int):
     return sg.Scene(bodies, name=f"world {seed}"), sonar, world @ turn
 
 
+def random_lone_body(seed: int):
+    """Return (scene, sonar, pose) of a seed: a sphere, a pile, a capsule or an ellipsoid alone in open water."""
+    rng = np.random.default_rng([seed, 78])
+    sonar = sg.Sonar("small", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 12.0)
+    kind, is_turned, radius_m, length_m = (
+        rng.integers(4),
+        rng.random() < 0.5,
+        rng.uniform(0.03, 0.3),
+        rng.uniform(0.5, 6),
+    )
+    mesh = (
+        trimesh.creation.icosphere(5, radius_m),
+        trimesh.creation.cylinder(radius_m, length_m, sections=96),
+        trimesh.creation.capsule(length_m / 3, radius_m),
+        trimesh.creation.icosphere(5).apply_scale(rng.uniform(0.05, 0.5, 3)),
+    )[kind]
+    pose = sg.pose(yaw=rng.uniform(-0.3, 0.3)) @ sg.pose(rng.uniform(1.5, 9), 0.0, rng.uniform(-0.3, 0.3))
+    pose = pose @ sg.pose(0, 0, 0, *is_turned * rng.uniform(-0.8, 0.8, 2))
+    return sg.Scene([sg.Body("body", mesh, pose)], name=f"lone body {seed}"), sonar, np.eye(4)
+
+
 POOL_SONARS = (
     "p900-45",
     "p900-130",
