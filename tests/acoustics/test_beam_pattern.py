@@ -36,6 +36,7 @@ def test_a_line_array_has_half_power_at_the_edges_of_its_width(width_deg, steer_
     assert (np.diff(fine[50:]) < 0).all()  # falls from the axis to the edge
 
 
+@pytest.mark.slow
 def test_nulls_and_side_lobes_of_an_untapered_array():
     """First null, first side lobe and width in λ/L have their textbook values."""
     half_power = main_lobe_edge((), 0.5)
@@ -112,7 +113,10 @@ def test_hamming_taper_against_a_sum_over_elements():
 
 
 @pytest.mark.filterwarnings("ignore:This window is not suitable")  # of SciPy, for spectra
-@pytest.mark.parametrize(("side_lobe_db", "width", "loss_db"), [(30.0, 1.0671, -0.63), (40.0, 1.2113, -1.03)])
+@pytest.mark.parametrize(
+    ("side_lobe_db", "width", "loss_db"),
+    [pytest.param(30.0, 1.0671, -0.63, marks=pytest.mark.slow), (40.0, 1.2113, -1.03)],
+)
 def test_chebyshev_arrays_have_equal_side_lobes_and_textbook_values(side_lobe_db, width, loss_db):
     """102 elements."""
     # here, since each process of tests would take a while for it
@@ -159,7 +163,10 @@ def test_the_two_way_pattern_is_narrower():
     assert 2 * main_lobe_edge((), math.sqrt(0.5)) == pytest.approx(0.637833, abs=5e-7)
 
 
-@pytest.mark.parametrize(("shape", "taper", "side_lobe_db"), ARRAYS[1:])
+@pytest.mark.parametrize(
+    ("shape", "taper", "side_lobe_db"),
+    [*ARRAYS[1::2], *(pytest.param(*one, marks=pytest.mark.slow) for one in ARRAYS[2::2])],
+)
 def test_array_patterns_are_cut_at_a_null_with_only_low_side_lobes_beyond(shape, taper, side_lobe_db):
     pattern = ArrayPattern(shape, math.radians(1.0), taper, side_lobe_db)
     sine = pattern.support_sine()
@@ -205,6 +212,7 @@ def room():
     return [floor, wall, ball]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -234,7 +242,13 @@ def test_pings_with_patterns_agree_with_the_reference(settings):
     assert ping_error(plain, truth) > 0.04  # the pattern matters here
 
 
-@pytest.mark.parametrize("settings", [{"elevation_pattern": "line_array"}, {"elevation_pattern": "gaussian"}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"elevation_pattern": "line_array"},
+        pytest.param({"elevation_pattern": "gaussian"}, marks=pytest.mark.slow),
+    ],
+)
 def test_a_sphere_about_the_sonar_reads_its_reflectivity_with_every_elevation_pattern(settings):
     ball = sg.Body("ball", trimesh.creation.uv_sphere(10.0, count=[90, 180]), reflectivity=0.3)
     totals = ping([ball], sg.Acoustics.physical(**settings)).intensity.sum(axis=1)

@@ -130,6 +130,7 @@ def test_a_bandwidth_that_follows_from_the_bins_is_no_wider_than_the_frequency()
     assert weights.sum() == pytest.approx(cell_m / sonar.bin_size_m, rel=1e-6) and cell_m > 1e-3
 
 
+@pytest.mark.slow
 def test_the_level_of_a_floor_and_of_a_ball_is_that_of_the_cell():
     """In bins of 1, 1/2, 1/4 and 1/8 of it, within 0.1 dB; without a pulse it falls by 3 dB each time."""
     corners = np.array([[5.0, -9, -1], [5, 9, -1], [15, 9, -1], [15, -9, -1]])

@@ -139,6 +139,7 @@ def test_point_bins_leave_rings_where_footprints_do_not():
     assert beam_errors(ping(floor, it, sg.Sampling(12, 100)).intensity, exact).max() < PLANE_TOLERANCE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "echo, mesh, beams",
     [
@@ -325,6 +326,7 @@ def test_range_of_a_plate(distance):
     assert after == before + 1
 
 
+@pytest.mark.slow
 def test_a_body_that_touches_the_last_range_returns_what_rounding_puts_before_it():
     """A cap of depth d of a plane has the area 2 pi r d, so that its echo is proportional to d."""
     sonar = sg.Sonar("last", 900e3, 32, 100, 40.0, 10.0, 1.0, 0.5, 30.0)

@@ -118,6 +118,7 @@ def test_planes(name):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "angles, offset_m",
     [
@@ -145,6 +146,7 @@ def test_sphere():
     assert share_in_wrong_bins(truth([ball], it), exact) < EXACT
 
 
+@pytest.mark.slow
 def test_cylinder():
     it = sonar(20, 20.0, 1.0)
     post = sg.Body("post", trimesh.creation.cylinder(0.5, 20.0, sections=2880), sg.pose(5.0), 1.0)
@@ -169,7 +171,7 @@ def test_plate_and_its_shadow():
 @pytest.mark.parametrize(
     "beams, width_deg, profile",
     [
-        (24, 15.0, "ideal"),
+        pytest.param(24, 15.0, "ideal", marks=pytest.mark.slow),
         (3, 179.0, "physical"),
         pytest.param(16, 40.0, "physical", marks=pytest.mark.slow),
         pytest.param(24, 15.0, "physical", marks=pytest.mark.slow),
@@ -224,6 +226,7 @@ def test_a_fan_of_a_full_circle_has_no_seam():
 # --- bodies
 
 
+@pytest.mark.slow
 def test_body_echo_is_each_bodys_part_of_the_intensity():
     # a pulse carries echo out of the last bins, a body's echo is before the pulse
     it, acoustics = sonar(bins=50), sg.Acoustics.physical(tvg_k=40.0, pulse=False)
@@ -253,6 +256,7 @@ def test_reflectivity_per_face():
     assert min(each) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [1, -1, 0])
 def test_shading_normals_give_the_cosine_alone(turn):
     """A wall with the normals of one that leans: cos θ is theirs, turned to the sonar; zero normals are flat."""
@@ -286,6 +290,7 @@ def test_shading_normals_are_interpolated_between_vertices():
     np.testing.assert_allclose(truth([shaded], it).intensity[:, 0], exact, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_faces_nearer_than_a_millimetre_are_transparent_and_inner_faces_echo():
     it = sonar(4, 360.0, 90.0, bins=50, range_max_m=5.0)
     room = sg.Body("room", trimesh.creation.icosphere(4, 3.0), reflectivity=0.5)
@@ -313,6 +318,7 @@ def test_nothing_in_range(bodies):
     assert ping.meta["difference"] == 0.0 and ping.meta["converged"] is True
 
 
+@pytest.mark.slow
 def test_halves_are_independent_and_their_difference_predicts_the_error():
     """Over seeds, the error is half of the halves' difference, as for independent samples."""
     it = sonar()
@@ -335,6 +341,7 @@ def test_the_same_seed_gives_the_same_bytes():
     assert not one.intensity.flags.writeable and not one.body_echo.flags.writeable
 
 
+@pytest.mark.slow
 def test_a_smaller_error_takes_more_rays():
     floor = [plane_body((0.3, 0.2, -1) / np.sqrt(1.13), 3.0)]
     coarse, fine = (truth(floor, sonar(), error=error) for error in (0.3, 0.03))

@@ -146,6 +146,7 @@ def test_a_reflector_that_coarse_samples_hardly_meet_counts():
     assert sg.needed_acoustics(scene, sonar, 0.03).multipath == "none"
 
 
+@pytest.mark.slow
 def test_no_cost_is_negative(monkeypatch):
     """The clock runs slower and slower, so that pings with a term, which come last, seem to be the fastest."""
 
@@ -162,6 +163,7 @@ def test_no_cost_is_negative(monkeypatch):
     assert min(costs) == 0.0
 
 
+@pytest.mark.slow
 def test_only_named_terms_are_timed():
     """All are judged, so that what is needed does not depend on the names; each one that is timed makes pings."""
     asked, found = {}, {}
@@ -329,6 +331,7 @@ def needed_and_full(scene, sonar, tolerance):
     return needed, full, differs(full_ping.intensity, needed_ping.intensity)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name, tolerance",
     [

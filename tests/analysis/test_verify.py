@@ -192,6 +192,7 @@ def test_titles_of_narrow_fans_can_be_read(monkeypatch, tank, height):
 # --- command
 
 
+@pytest.mark.slow
 def test_the_command_reports_and_draws_the_error():
     status, out, err = run("tank.sdf", "--sonar", "small.toml", "--tolerance", 0.2, "--height", 120)
     assert (status, err) == (0, f"{CASTING}\n")

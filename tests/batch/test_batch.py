@@ -64,6 +64,7 @@ from tests.support.batches import (
     write_plain_job,
 )
 from tests.support.command_line import BODY, WALL, run
+from tests.support.inline_pool import use_inline_pool
 
 N = 10
 
@@ -330,6 +331,7 @@ def test_the_name_of_a_model_in_place_of_its_bodies_is_told_how_to_write_them(tm
         assert str(why.value) == f"{path}: {where} {cure}"
 
 
+@pytest.mark.slow
 def test_parts_that_a_table_leaves_behind_are_warned_of(tmp_path):
     """The diver's helmet and bubbles stay in the scene when a table names his body alone, as a part of a model."""
     path = write_job(tmp_path, 4, "")
@@ -426,6 +428,7 @@ def test_a_ping_is_made_again_with_its_noise_from_what_is_stored(tmp_path):
         assert np.array_equal(ping.intensity, data.intensity[n])
 
 
+@pytest.mark.slow
 def test_varied_values_are_stored(small, requests):
     data = xr.open_dataset(small / "out" / "pings.zarr", group="level")
     n_present = 0
@@ -508,7 +511,7 @@ def test_what_moves_apart_moves_as_whole_models(tmp_path):
 
 def test_one_of_several_bodies_is_there_at_a_time_each_as_often(tmp_path):
     """Of three, a fish with its tail among them: what it is made of, its size and shape vary from ping to ping."""
-    path = write_job(tmp_path, 3000, "")
+    path = write_job(tmp_path, 1000, "")
     link = re.search("<link.*</link>", BOX, re.DOTALL)[0]
     links = "".join(link.replace('"link"', f'"{name}"') for name in ("head", "tail"))
     fish = f'<model name="fish"><pose>3 0 0 0 0 0</pose>{links}</model>'
@@ -523,19 +526,19 @@ def test_one_of_several_bodies_is_there_at_a_time_each_as_often(tmp_path):
         requests = BatchRequests(Job(**plain | {"vary": {"bodies": list(tables)}}))
         return [requests[number].bodies for number in range(count)], requests
 
-    found, requests = bodies_of(3000, one, after)
+    found, requests = bodies_of(1000, one, after)
     counts = dict.fromkeys(("", "box_1", "box_2", "fish::head"), 0)
     for moved in found:
         assert set(moved) == {"box_1", "box_2", "fish::head", "fish::tail", "floor"}
         there = [name for name in moved if moved[name] is not None and name != "floor"]
         assert there in ([], ["box_1"], ["box_2"], ["fish::head", "fish::tail"])
         counts[there[0] if there else ""] += 1
-    expected = np.array([0.2, 0.8 / 3, 0.8 / 3, 0.8 / 3]) * 3000
+    expected = np.array([0.2, 0.8 / 3, 0.8 / 3, 0.8 / 3]) * 1000
     chi_squared = ((np.array(list(counts.values())) - expected) ** 2 / expected).sum()
     assert chi_squared < 16.3  # exceeded once in a thousand seeds
     shifts = np.array([moved["box_1"][0, 3] - 3 for moved in found if moved["box_1"] is not None])
     assert abs(shifts).max() <= 0.5 and shifts.std() == pytest.approx(1 / np.sqrt(12), rel=0.1)
-    assert requests[3000].bodies == {}  # a scene without any of them
+    assert requests[1000].bodies == {}  # a scene without any of them
     # which one is there decides no draw of another table
     floor, _ = bodies_of(300, one | {"there": 1.0}, after)
     assert all(np.array_equal(a["floor"], b["floor"]) for a, b in zip(found[:300], floor, strict=True))
@@ -905,7 +908,7 @@ def test_a_part_made_ping_by_ping_has_the_same_bytes(small, tmp_path):
         assert made[name] == before[name]
 
 
-@pytest.mark.parametrize("one_by_one", [False, True])
+@pytest.mark.parametrize("one_by_one", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_warnings_of_pings_are_reported_a_tolerance_once_for_a_sonar(
     small, tmp_path, monkeypatch, one_by_one
 ):
@@ -993,6 +996,7 @@ def test_a_sonar_is_inside_a_body_where_the_first_ping_has_both(tmp_path, place,
     assert [text.split()[1] for text in texts] == warned
 
 
+@pytest.mark.slow
 def test_a_sonar_in_the_air_is_reported_alike_by_all_processes(tmp_path):
     path = write_enclosed_job(tmp_path, "surface_z_m = -1.0")
     texts = {
@@ -1004,6 +1008,7 @@ def test_a_sonar_in_the_air_is_reported_alike_by_all_processes(tmp_path):
         assert warnings_of_parts(path, tmp_path / f"out_{number}", made) == texts
 
 
+@pytest.mark.slow
 def test_a_ping_that_fails_has_reported_its_warnings(small, tmp_path, monkeypatch):
     """Since the simulator may warn once, and the next try succeed."""
     finish, calls = pipeline.finish, []
@@ -1261,7 +1266,8 @@ def test_a_dry_run_says_how_often_each_class_is_seen_in_each_scene(tmp_path):
         (4, "", "8 pings in 2 parts of 4"),
     ],
 )
-def test_a_dry_run_says_of_how_many_files_a_bag_is(tmp_path, part, more, line):
+def test_a_dry_run_says_of_how_many_files_a_bag_is(tmp_path, monkeypatch, part, more, line):
+    use_inline_pool(monkeypatch)
     job = write_plain_job(tmp_path, 8, part, more)
     assert line in run("batch", job, "--dry-run", "--workers", "1")[1].splitlines()
 
@@ -1393,6 +1399,7 @@ def test_a_part_replaces_its_damaged_files(small, tmp_path):
     assert files_of(out) == before
 
 
+@pytest.mark.slow
 def test_a_batch_may_end_with_all_pings_set_aside(tmp_path):
     batch = open_batch(write_job(tmp_path, 2, LABELS + MORE), tmp_path / "out")
     begin(batch).save(batch.folder)
@@ -1508,7 +1515,7 @@ LINK = """<link name="{}"><pose>{} 0 0 0 0 0</pose><collision name="c">
 """
 
 
-@pytest.mark.parametrize("together", [True, False])
+@pytest.mark.parametrize("together", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_bodies_of_one_model_and_class_are_one_instance_of_coco(tmp_path, together):
     path, links = write_plain_job(tmp_path, 2, 2, ""), LINK.format("a", 0) + LINK.format("b", 0.5)
     scene = (tmp_path / "tank.sdf").read_text().replace(BOX, RIG.format(links, LINK.format("a", 0)))
@@ -1576,6 +1583,7 @@ def test_layers_boxes_and_masks_leave_out_what_the_noise_hides(tmp_path):
         assert 0 < (mask > 0).sum() < 0.9 * (masks["quiet"][number] > 0).sum()
 
 
+@pytest.mark.slow
 def test_the_level_of_a_job_is_that_of_its_labels(tmp_path, pings):
     """Layers, boxes and masks are those of pings with this level; by default they are what the display shows."""
     level_db = -25.0
@@ -1638,6 +1646,7 @@ def test_optical_images_are_stored_with_the_pings(small, tmp_path):
     assert np.array_equal(np.isfinite(metres), depth > 0) and not (depth > 0).all()
 
 
+@pytest.mark.slow
 def test_optical_images_are_rendered_on_the_device_of_the_process(tmp_path, monkeypatch):
     """As pings are; processes of a batch share several devices."""
     devices = []

@@ -177,6 +177,7 @@ def test_an_interrupt_finishes_the_parts_in_progress_and_begins_no_others(inside
     assert driver.done == dict.fromkeys(tries(tmp_path), 1) == {0: 1, 5: 1} and interrupts == [0]
 
 
+@pytest.mark.slow
 def test_each_worker_has_one_part_at_a_time_and_none_waits(inside, tmp_path):
     """Part 5 is slow: the other worker makes part 0 meanwhile."""
     begun, made = [], []
@@ -195,6 +196,7 @@ def test_each_worker_has_one_part_at_a_time_and_none_waits(inside, tmp_path):
     assert made[0] == 0 and driver.done == dict.fromkeys([0, 1, 2, 3, 5], 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("failures", [1, 3])
 def test_a_part_that_the_scheduler_gives_up_is_reported_with_the_last_worker(inside, failures):
     error = KilledWorker("part", SimpleNamespace(address="tcp://last"), failures)
@@ -233,6 +235,7 @@ def count_every_1000_s(monkeypatch, *n_workers):
     return counts
 
 
+@pytest.mark.slow
 def test_workers_may_be_away_for_less_than_half_an_hour(inside, tmp_path, monkeypatch):
     counts, driver = count_every_1000_s(monkeypatch, 2, 2, 2, 0, 2, 0), Driver()
     driver.run(inside, partial(cluster_parts.count, tmp_path), range(6))
@@ -248,6 +251,7 @@ def test_workers_that_are_away_for_longer_are_missed(inside, tmp_path, monkeypat
         Driver().run(inside, partial(cluster_parts.count, tmp_path), parts)
 
 
+@pytest.mark.slow
 def test_a_notebook_may_use_a_cluster(inside, tmp_path):
     """Its cells run in an event loop. The client is not the one of the notebook's own tasks."""
 
@@ -344,11 +348,12 @@ def test_a_worker_with_several_threads_is_refused():
 def test_a_cluster_without_workers_is_refused():
     with (
         LocalCluster(n_workers=0, protocol="tcp", processes=False, dashboard_address=":0") as here,
-        pytest.raises(Error, match=r"must have a worker \(got none for 2 s; start some: dask worker tcp:"),
+        pytest.raises(Error, match=r"must have a worker \(got none for 0.1 s; start some: dask worker tcp:"),
     ):
-        Driver().run(here.scheduler_address, cluster_parts.failing, [1], timeout_s=2)
+        Driver().run(here.scheduler_address, cluster_parts.failing, [1], timeout_s=0.1)
 
 
+@pytest.mark.slow
 def test_another_server_at_the_address_is_refused():
     """It stays silent, as a web server does until it gets a request."""
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -359,7 +364,16 @@ def test_another_server_at_the_address_is_refused():
             Driver().run(address, cluster_parts.failing, [1], timeout_s=0.5)
 
 
-@pytest.mark.parametrize("wrong", ["tcp://127.0.0.1:9", "nothing://there", "tcp://no.such.host.invalid:80"])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "tcp://127.0.0.1:9",
+        *(
+            pytest.param(one, marks=pytest.mark.slow)
+            for one in ("nothing://there", "tcp://no.such.host.invalid:80")
+        ),
+    ],
+)
 def test_an_address_without_a_scheduler_is_refused(wrong):
     with pytest.raises(Error, match=f"a Dask scheduler must answer at {wrong} .got: .*start one"):
         Driver().run(wrong, cluster_parts.failing, [1], timeout_s=0.3)

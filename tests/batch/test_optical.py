@@ -129,6 +129,7 @@ def test_a_ball(optical):
     assert (depth[hit] <= inside[hit] + resolution(4)).all()
 
 
+@pytest.mark.slow
 def test_near_and_far():
     wall = sg.Scene(SCENE.bodies[:1])
     for near, far, visible in ((4.9, 5.1, True), (5.01, 5.4, False), (1.0, 4.99, False)):
@@ -141,7 +142,7 @@ def test_near_and_far():
 # ---- directions -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("away", [(0, 0, 0), (500_000, 4_500_000, -30)])
+@pytest.mark.parametrize("away", [pytest.param((0, 0, 0), marks=pytest.mark.slow), (500_000, 4_500_000, -30)])
 @pytest.mark.parametrize("turn", [(0, 0, 0), (0.4, 0.3, 2.5)])
 def test_port_is_left_and_up_is_up(optical, away, turn):
     """For any pose of the camera, also far from the origin."""

@@ -116,7 +116,11 @@ def test_a_process_that_hangs_is_replaced(job, expected, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("n_cores", "asked", "n_threads"), [(1, None, 1), (4, None, 2), (5, None, 2), (4, "3", 3)]
+    ("n_cores", "asked", "n_threads"),
+    [
+        (5, None, 2),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((1, None, 1), (4, None, 2), (4, "3", 3))),
+    ],
 )
 def test_processes_share_the_cores(job, tmp_path, monkeypatch, n_cores, asked, n_threads):
     """Two of them, each with as many threads as leave a core to each, or as the user says.
@@ -140,7 +144,7 @@ def test_processes_share_the_cores(job, tmp_path, monkeypatch, n_cores, asked, n
     assert found == [asked]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_signals_that_come_at_once_stop_a_batch_as_one_does(tmp_path, monkeypatch, number):
     """`timeout` sends its signal to the batch and to its group: the second broke off the parts in progress."""
     path, run_parts = write_plain_job(tmp_path, 4, 2), Pool.run_parts

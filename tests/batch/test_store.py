@@ -105,6 +105,7 @@ def test_parts_of_which_nothing_differs_from_the_fill_are_files_all_the_same(tmp
         assert (zarr.open_array(tmp_path / "pings.zarr" / spec.name)[:] == spec.fill).all()
 
 
+@pytest.mark.slow
 def test_a_shard_has_the_bytes_that_zarr_gives_it_whatever_was_there(tmp_path):
     folder, by_zarr = Folder(tmp_path / "a"), Folder(tmp_path / "b")
     store, manifest = make_store(folder, 12)
@@ -337,7 +338,7 @@ def test_numbers_of_pings_are_those_that_were_entered(varied):
 
 
 # blocks that end within a part, and one that all pings fit into
-@pytest.mark.parametrize("block_pings", [4, 50])
+@pytest.mark.parametrize("block_pings", [4, pytest.param(50, marks=pytest.mark.slow)])
 def test_numbers_of_pings_are_gathered_whatever_blocks_they_go_through(
     varied, tmp_path, monkeypatch, block_pings
 ):
@@ -361,7 +362,7 @@ def test_numbers_of_pings_are_gathered_whatever_blocks_they_go_through(
         assert array.chunks == (min(block_pings, 22), 4, 4) and np.isnan(array.fill_value)
 
 
-@pytest.mark.parametrize("damage", [b"", b"half"])
+@pytest.mark.parametrize("damage", [pytest.param(b"", marks=pytest.mark.slow), b"half"])
 def test_a_damaged_table_of_a_part_is_named_with_its_cure(varied, tmp_path, damage):
     folder, table, manifest = Folder(tmp_path), PingTable(varied), Manifest({}, "", 22, 22, None, {})
     groups = {name: SonarGroup(sonar, [], {}) for name, sonar in varied.sonars.items()}

@@ -28,7 +28,7 @@ SECTOR = SectorScan(
     position_m=[1, 2, -3], pan_rad=[-1.0, 2.0], n_pings=39, ping_rate_hz=5, sweep_s=2.5, tilt_rad=0.3
 )
 VIEWS = RandomViews(
-    target_m=[10, 20, -5], range_m=[2, 6], n_pings=3000, elevation_rad=[-0.4, 1.2], z_m=[-6, -1],
+    target_m=[10, 20, -5], range_m=[2, 6], n_pings=1000, elevation_rad=[-0.4, 1.2], z_m=[-6, -1],
     azimuth_jitter_rad=0.3, elevation_jitter_rad=0.1, roll_jitter_rad=0.2, ping_rate_hz=4, seed=7,
 )  # fmt: skip
 ALL = {"lawnmower": LAWN, "orbit": ORBIT, "sector": SECTOR, "random_views": VIEWS}
@@ -243,12 +243,16 @@ def test_views_aim_at_points_of_a_box():
     "elevation_rad, z_m, low, high",
     [
         ((0.5, 1.0), (-9, 2.0), 1.0, 2 / math.sin(0.5)),  # from farther away it would be too high
-        ((0.5, 1.0), (2.0, 50), 2 / math.sin(1.0), 10.0),  # from nearer, too low
-        ((-1.0, -0.5), (-2.0, 9), 1.0, 2 / math.sin(0.5)),
+        pytest.param(
+            (0.5, 1.0), (2.0, 50), 2 / math.sin(1.0), 10.0, marks=pytest.mark.slow
+        ),  # from nearer, too low
+        pytest.param((-1.0, -0.5), (-2.0, 9), 1.0, 2 / math.sin(0.5), marks=pytest.mark.slow),
         ((-1.0, -0.5), (-50, -2.0), 2 / math.sin(1.0), 10.0),
-        ((0.0, 0.0), (-1, 1), 1.0, 10.0),
-        ((0.0, 0.0), (-1, 0), 1.0, 10.0),  # up to the height of the target
-        ((-1.5708, 1.5708), (3, 3), 3.0, 10.0),
+        pytest.param((0.0, 0.0), (-1, 1), 1.0, 10.0, marks=pytest.mark.slow),
+        pytest.param(
+            (0.0, 0.0), (-1, 0), 1.0, 10.0, marks=pytest.mark.slow
+        ),  # up to the height of the target
+        pytest.param((-1.5708, 1.5708), (3, 3), 3.0, 10.0, marks=pytest.mark.slow),
     ],
 )
 def test_ranges_are_those_that_z_m_allows(elevation_rad, z_m, low, high):

@@ -316,6 +316,7 @@ def test_bubbles_attenuate_bubbles_behind_them(cloud):
     assert behind == pytest.approx(math.exp(-2 * n * bubble_extinction(a) * (high - low)), rel=0.3)
 
 
+@pytest.mark.slow
 def test_shadows_in_all_directions():
     """In a fan of 360 degrees plumes behind the sonar, at the wrap of azimuth, attenuate like those ahead."""
     sonar = sg.Sonar("round", 900e3, 360, 100, 360.0, 10.0, 1.0, 0.5, 10.5)
@@ -460,6 +461,7 @@ def test_the_tolerance_holds_with_bubbles():
     assert np.abs(fast.intensity - fine.intensity).sum() < 0.02 * fine.intensity.sum()
 
 
+@pytest.mark.slow
 def test_a_sonar_inside_a_plume_with_multipath():
     """With bubbles on all sides, and at the sonar itself, echoes are finite and not negative."""
     plume = sg.Bubbles("plume", sg.pose(z=-1.0), rate_hz=2000)

@@ -43,7 +43,7 @@ FANS = {
 
 
 @pytest.mark.parametrize("name", FANS)
-@pytest.mark.parametrize("shear", [0.2764, -0.2764])
+@pytest.mark.parametrize("shear", [0.2764, pytest.param(-0.2764, marks=pytest.mark.slow)])
 def test_strips_hold_the_solid_angle_of_their_columns_once(name, shear):
     """Along a strip, a cone of sines from k to k + dk has dk dv / (cos ψ0 (1 + v²) + sin ψ0 u)."""
     sonar, max_elevation_deg = FANS[name]
@@ -176,7 +176,9 @@ def test_a_wall_all_round_has_its_reflectivity_however_low_the_beams(elevation_p
 
 
 @pytest.mark.parametrize("elevation_deg", [-9.0, 0.0, 9.0])
-@pytest.mark.parametrize("azimuth_deg", [-60.0, -30.0, 5.0, 55.0])
+@pytest.mark.parametrize(
+    "azimuth_deg", [-60.0, 55.0, *(pytest.param(one, marks=pytest.mark.slow) for one in (-30.0, 5.0))]
+)
 def test_a_ball_stands_where_the_array_shows_it(azimuth_deg, elevation_deg):
     """Upright beams show it at its azimuth, a degree and more off."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
@@ -197,6 +199,7 @@ def test_a_ball_stands_where_the_array_shows_it(azimuth_deg, elevation_deg):
     assert places["upright"] == pytest.approx(azimuth_deg, abs=spacing_deg)
 
 
+@pytest.mark.slow
 def test_the_first_bottom_return_of_a_level_array_is_a_straight_line():
     """On the cone that is shown at β the floor is nearest at h / cos β, below the axis; upright beams all look there.
 
@@ -275,6 +278,7 @@ def test_the_ray_caster_agrees_on_wide_beams_that_are_steered_far():
     np.testing.assert_allclose(ping.intensity.sum(axis=1), reference.sum(axis=1), rtol=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:no echo came back")
 def test_upright_beams_of_a_straight_array_receive_nothing_from_behind_it():
     """Beams of 8 degrees at ±75 are so wide that their supports end far behind the array."""
@@ -290,6 +294,7 @@ def test_upright_beams_of_a_straight_array_receive_nothing_from_behind_it():
     assert np.abs(ahead.intensity - reference).sum() < 0.02 * reference.sum()
 
 
+@pytest.mark.slow
 def test_bodies_beside_the_cones_take_no_samples():
     """Views reach as far aside as the outermost cone at their highest elevation: their lower corners are in no beam."""
     sonar = make_sonar(45.0, 32, 1.5, beam_spacing="sine")
@@ -309,6 +314,7 @@ def test_bodies_beside_the_cones_take_no_samples():
     assert plans[0] == plans[1] == plans[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sonar", "sampling"),
     [
@@ -346,7 +352,8 @@ def test_labels_have_the_bits_of_the_sums():
     assert set(np.unique(labelled.body_id)) == {0, 1, 2, 3}
 
 
-@pytest.mark.parametrize("multipath", ["none", "incoherent"])
+@pytest.mark.slow
+@pytest.mark.parametrize("multipath", [pytest.param("none", marks=pytest.mark.slow), "incoherent"])
 def test_a_mirrored_world_has_a_mirrored_picture(multipath):
     """Also by way of reflectors, whose image sources have the strips of the mirrored fan."""
     steel = trimesh.creation.box((12.0, 0.2, 8.0))
@@ -366,6 +373,7 @@ def test_a_mirrored_world_has_a_mirrored_picture(multipath):
     assert np.abs(one - other).sum() < 0.04 * one.sum()
 
 
+@pytest.mark.slow
 def test_multipath_echoes_come_from_the_cones_of_their_images():
     """The image of a ball behind a planar reflector is shown where a ball at the image's place would be."""
     floor = trimesh.creation.box((60.0, 60.0, 1.0))

@@ -31,6 +31,8 @@ DEVICES = {
     "full circle": replace(P900, azimuth_fov_deg=360.0, beam_width_deg=4.0),
     "one beam": replace(P900, n_beams=1, azimuth_fov_deg=30.0),
 }
+FAST = "chebyshev", "straight", "transmit beam", "full circle", "one beam"
+SOME_SLOW = [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in DEVICES]
 
 
 def fan_and_weights(sonar, acoustics, columns_per_beam=1) -> tuple[Fan, np.ndarray]:
@@ -51,7 +53,7 @@ def fan_and_weights(sonar, acoustics, columns_per_beam=1) -> tuple[Fan, np.ndarr
 
 
 @pytest.mark.parametrize("far_side_lobes", [False, True])
-@pytest.mark.parametrize("name", DEVICES)
+@pytest.mark.parametrize("name", SOME_SLOW)
 def test_the_response_of_columns_is_the_sum_of_all_beams(name, far_side_lobes):
     sonar, acoustics = DEVICES[name], replace(PHYSICAL, far_side_lobes=far_side_lobes)
     _, found = fan_and_weights(sonar, acoustics)
@@ -78,7 +80,7 @@ def test_the_halves_of_beams_expand_moments_of_their_own(name):
         assert (used[half] >= 4 * first).all() and (used[half] < 4 * last).all()
 
 
-@pytest.mark.parametrize("name", DEVICES)
+@pytest.mark.parametrize("name", SOME_SLOW)
 def test_beams_weigh_all_columns_by_the_pattern(name):
     """Within the support exactly, beyond it within TOLERANCE of the floor and the side lobe's peak."""
     sonar = DEVICES[name]

@@ -132,7 +132,7 @@ def test_pieces_follow_from_bins_range_and_aperture():
     assert piece_limits(edges, np.radians(4.0)) == pytest.approx((np.radians(4.0) / 16, piece_m))
 
 
-@pytest.mark.parametrize("value", [np.nan, 1e300, -1.0])
+@pytest.mark.parametrize("value", [np.nan, pytest.param(1e300, marks=pytest.mark.slow), -1.0])
 @pytest.mark.parametrize(
     "acoustics", [IDEAL, sg.Acoustics.physical(multipath="incoherent")], ids=["ideal", "multipath"]
 )

@@ -218,7 +218,9 @@ def test_joined_columns_return_an_even_echo_alike(fov_deg, is_box):
     )  # float32
 
 
-@pytest.mark.parametrize("azimuth_deg", [0.0, 0.9, 1.1, 2.0])
+@pytest.mark.parametrize(
+    "azimuth_deg", [0.9, 1.1, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.0, 2.0))]
+)
 @pytest.mark.parametrize("n_beams, fov_deg", [(1, 2.0), (8, 40.0), (48, 40.0)])
 @pytest.mark.parametrize("far_side_lobes", [False, True])
 def test_the_echo_of_a_lone_body_is_that_of_the_ping(n_beams, fov_deg, azimuth_deg, far_side_lobes):
@@ -234,7 +236,7 @@ def test_the_echo_of_a_lone_body_is_that_of_the_ping(n_beams, fov_deg, azimuth_d
     assert got.body_echo[1] == pytest.approx(got.intensity.sum(dtype=float), rel=5e-5)
 
 
-@pytest.mark.parametrize("pulse_taper", ["hamming", "uniform"])
+@pytest.mark.parametrize("pulse_taper", ["hamming", pytest.param("uniform", marks=pytest.mark.slow)])
 def test_the_echo_of_a_body_has_the_level_of_a_pulse_longer_than_a_bin(pulse_taper):
     """Bins shorter than the resolution cell hold its echo: the sum of the intensity is cell / bin times as much."""
     more = {"bandwidth_hz": 5e3, "pulse_taper": pulse_taper}
@@ -269,7 +271,9 @@ def test_the_echo_of_a_body_beside_the_fan_is_received_by_far_side_lobes():
         assert both.body_echo[1] == pytest.approx(alone.body_echo[1], rel=1e-4)
 
 
-@pytest.mark.parametrize("azimuth_deg", [21.25, 22.125, 22.25, 22.875])
+@pytest.mark.parametrize(
+    "azimuth_deg", [21.25, 22.875, *(pytest.param(one, marks=pytest.mark.slow) for one in (22.125, 22.25))]
+)
 @pytest.mark.parametrize("far_side_lobes", [False, True])
 def test_joined_columns_keep_the_echo_of_a_thin_rod_beside_the_fan(monkeypatch, azimuth_deg, far_side_lobes):
     """All beams receive little there, and unevenly: the rod, in one column, was off by up to 13 %."""
@@ -286,6 +290,7 @@ def test_joined_columns_keep_the_echo_of_a_thin_rod_beside_the_fan(monkeypatch, 
     assert exact.body_echo[1] == pytest.approx(exact.intensity.sum(dtype=float), rel=5e-4)
 
 
+@pytest.mark.slow
 def test_joined_columns_change_labels_less_than_finer_samples_do(monkeypatch):
     """Of the bins that are labelled, and of the elevations there."""
     scene, sonar = sg.load_scene("pylon"), replace(sg.load_sonar("p900-45"), n_bins=300)
@@ -532,10 +537,11 @@ def wall_behind_a_slat(range_m, ahead_m, length_m):
     [
         ("p900-45", "opengl"),
         ("p900-45,bandwidth_hz=20e3", "cpu"),
-        ("m900-2250", "cpu"),
-        ("norbit-fls", "cpu"),
         ("kongsberg-m3", "cpu"),
-        ("didson-hf", "cpu"),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (("m900-2250", "cpu"), ("norbit-fls", "cpu"), ("didson-hf", "cpu"))
+        ),
     ],
 )
 def test_what_the_pulse_alone_lights_has_no_label(preset, engine, pulse_taper):
@@ -811,7 +817,7 @@ EDGE_ON = {
 }
 
 
-@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("engine", ["cpu", pytest.param("opengl", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if name in ("135", "165") else ()) for name in EDGE_ON]
 )
@@ -863,6 +869,7 @@ def test_no_label_lies_nearer_than_the_upright_edge_of_a_box(engine, tolerance, 
             assert first_m > nearest_m - BEYOND_BODY * sonar.bin_size_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("s", "a", "b", "ends"),
     [

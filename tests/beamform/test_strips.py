@@ -230,6 +230,7 @@ def test_more_rows_than_there_is_room_for_are_refused():
         make_beamformer(sonar, acoustics, sg.Sampling(1, 16_000))
 
 
+@pytest.mark.slow
 def test_of_a_strip_without_rows_no_sample_is_read():
     """Its middle row would lie far beyond the samples. Compiled code reads there; the same code in Python refuses."""
     in_python = {**find_strip.py_func.__globals__, "as_table": lambda table, *_: table}

@@ -77,7 +77,7 @@ def test_the_reverberation_level_follows_the_sonar_equation(engine, height_m):
 @pytest.mark.parametrize(
     ("elevation_pattern", "roll", "pitch"),
     [  # quadratures of a million directions: each turn and each pattern once
-        ("box", 0.0, -math.pi / 2),
+        pytest.param("box", 0.0, -math.pi / 2, marks=pytest.mark.slow),
         ("line_array", 0.5, -0.1),
         pytest.param("box", 0.0, -0.25, marks=pytest.mark.slow),
         pytest.param("box", 0.5, -0.1, marks=pytest.mark.slow),
@@ -117,6 +117,7 @@ def test_a_turned_sonar_receives_what_a_quadrature_over_directions_gives(roll, p
         np.testing.assert_allclose(smooth(found[beam]), smooth(expected), atol=0.02 * smooth(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:no echo came back")
 def test_beams_that_look_up_have_their_echo_where_the_backscatter_falls_much_from_bin_to_bin():
     """Straight above, bins of 15 cm hold many degrees each, and samples cover parts of two of them."""

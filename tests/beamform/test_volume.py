@@ -59,7 +59,7 @@ def test_it_has_the_range_gain_of_an_echo():
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-6)  # float32
 
 
-@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("engine", ["cpu", pytest.param("opengl", marks=pytest.mark.slow)])
 def test_it_ends_at_a_wall(engine):
     """A sphere about the sonar: all before it, nothing behind; half a bin's worth where it is."""
     radius_m = SONAR.bin_edges_m[60] + 0.5 * SONAR.bin_size_m

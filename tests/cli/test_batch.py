@@ -97,6 +97,7 @@ mount = [0, 0, 0, 1.57, 0, 0]
 """
 
 
+@pytest.mark.slow
 def test_several_sonars_are_refused_without_assertions_at_once(tmp_path):
     """Zarr opens no group within another then: the first part ended with its traceback, after minutes."""
     (tmp_path / "dive.csv").write_text("t,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n")

@@ -94,6 +94,7 @@ def test_process_without_a_package(tmp_path):
     assert lines[-1] == "8 of 23 failed"
 
 
+@pytest.mark.slow
 def test_process_in_which_numba_may_not_compile(tmp_path):
     """The one cure is in the message; others, such as to install packages again, would not help."""
     report, environment = tmp_path / "report.json", {"NUMBA_DISABLE_JIT": "1"}
@@ -475,6 +476,7 @@ from its shape, z = 2 m
     )
 
 
+@pytest.mark.slow
 def test_scene_lists_the_largest_of_many_bodies_and_counts_the_others(tmp_path):
     many = "".join(BODY.format(f"rock_{k}", f"{k} 3 0", f"0.{k + 10:03d} 0.01 0.01") for k in range(300))
     _, out, _ = run("--scene", write_world(tmp_path / "field.sdf", many))

@@ -70,7 +70,7 @@ def test_a_ping_is_made_before_programs_can_connect(device, monkeypatch):
     [
         ("oculus", "OculusHead", "gain_percentile=90", {"gain_percentile": 90}),
         ("ping360", "Ping360Head", "law=db,low_db=-40", {"law": "db", "low_db": -40}),
-        ("ping360", "Ping360Head", "exponent=0.5", {"exponent": 0.5}),
+        pytest.param("ping360", "Ping360Head", "exponent=0.5", {"exponent": 0.5}, marks=pytest.mark.slow),
     ],
 )
 def test_counts_change_what_programs_do_not_set(device, name, text, changes, monkeypatch):
@@ -144,6 +144,7 @@ def fire_at(server):
     return program
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_an_oculus_with_its_closing_line_alone_while_programs_listen(number, servers, caplog):
     programs = []
@@ -158,6 +159,7 @@ def test_a_signal_ends_an_oculus_with_its_closing_line_alone_while_programs_list
     assert [record.message for record in caplog.records if record.name == "asyncio"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_a_result_is_packed_ends_it_as_any_other(number, servers, caplog, monkeypatch):
     """Raised within a task it would leave the others to themselves."""
@@ -226,6 +228,7 @@ def test_a_host_that_nobody_can_listen_at_is_an_error_before_the_first_ping(
     assert "Unknown error" not in errors
 
 
+@pytest.mark.slow
 def test_a_status_that_cannot_be_sent_is_said_once(monkeypatch, caplog):
     """Names are looked up beside the thread that serves programs, which a slow answer would hold up."""
     monkeypatch.setattr(oculus, "STATUS_S", 0.01)

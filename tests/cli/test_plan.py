@@ -96,6 +96,7 @@ def test_it_prices_every_term():
         assert changes > 0 or (term["time_ms"], term["on"]) == (0, False)
 
 
+@pytest.mark.slow
 def test_it_prices_what_sonar_and_noise_state():
     more = "small.toml,ring_down_db=10,common_noise_db=-60"
     terms = plan("--sonar", more, "--noise", "physical,dropped_beams=0.1")["terms"][len(TERMS) :]
@@ -103,6 +104,7 @@ def test_it_prices_what_sonar_and_noise_state():
     assert all(term["changes"] > 0 for term in terms)
 
 
+@pytest.mark.slow
 def test_it_prices_what_the_options_say():
     """A scene without planar reflectors that matter, smooth faces, bubbles: these terms change nothing."""
     terms = {
@@ -149,6 +151,7 @@ def test_a_sequence_takes_the_samples_that_render_gives_it():
     assert "poses       3\n" in run("tank.sdf", *QUICK, "--poses", "dive.csv")[1]
 
 
+@pytest.mark.slow
 def test_a_flat_wall_asks_for_nothing():
     found = plan(scene="wall.sdf")
     assert (found["level"], found["bound_by"]) == (0, "nothing")
@@ -199,6 +202,7 @@ def test_a_tolerance_out_of_reach_has_status_1(monkeypatch):
     assert plan("--tolerance", 0.0015)["met"] is False  # and status 1
 
 
+@pytest.mark.slow
 def test_an_estimate_that_breaks_a_tolerance_does_not_read_like_it():
     """ "2 % can NOT be met" stood above "error 2 %"."""
     missed = {"met": False, "error_estimate": 0.05004, "worst_body_estimate": 0.2501}
@@ -260,6 +264,7 @@ def test_help_says_what_the_exit_status_means():
     assert "Exit status: 0 the tolerance can be met, 1 it cannot, 2 a mistake" in " ".join(out.split())
 
 
+@pytest.mark.slow
 def test_frames_do_not_depend_on_those_before_them():
     """A sequence and the reversed one have the same files; looked after ping by ping they would not."""
     header, *rows = POSES.splitlines()
@@ -284,6 +289,7 @@ def test_frames_do_not_depend_on_those_before_them():
     assert looked_after["there"] != looked_after["back"][::-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options, planned",
     [([], True), (["--style", "demarco2015"], True), (["--style", "demarco2015", "--format", "png"], False)],

@@ -125,7 +125,7 @@ def test_leaving_early_ends_what_has_begun_and_begins_no_more(monkeypatch):
     assert not [t.name for t in threading.enumerate() if t.name.startswith("writer")]
 
 
-@pytest.mark.parametrize("slow_s", [0, 0.05])
+@pytest.mark.parametrize("slow_s", [pytest.param(0, marks=pytest.mark.slow), 0.05])
 def test_disk_that_fills_in_a_sequence(monkeypatch, slow_s):
     replace = os.replace
 
@@ -164,8 +164,10 @@ def test_interrupt_of_a_sequence(monkeypatch):
     assert "tank_0000.png" in names and not [name for name in names if name >= "tank_0005"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("formats", "interrupted_at", "has_files"), [("gif", 3, False), ("gif mp4", FRAMES + 2, True)]
+    ("formats", "interrupted_at", "has_files"),
+    [pytest.param("gif", 3, False, marks=pytest.mark.slow), ("gif mp4", FRAMES + 2, True)],
 )
 def test_interrupt_of_a_film(formats, interrupted_at, has_files, monkeypatch):
     """The second film renders the pings of the first again."""
@@ -269,6 +271,7 @@ def test_a_sequence_is_nearly_empty_if_all_its_pictures_are():
     )
 
 
+@pytest.mark.slow
 def test_a_hull_that_stays_behind_is_warned_of():
     hull = BODY.format("rov", "-0.5 0 0", "0.4 0.4 0.2")
     mount = '<link name="mount"><pose>0.5 0 0 0 0 0</pose><sensor name="sonar" type="custom"/></link></model>'
@@ -288,6 +291,7 @@ def test_a_hull_that_stays_behind_is_warned_of():
     assert run("render", *sequence[:3], "--tolerance", 0.05, "--format", "npz")[2] == ""  # does not move
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [("aris-1800", "--range", 16), ("aris-1800,range_max_m=16",)])
 def test_a_range_beyond_what_the_device_allows_is_warned_of(words):
     fast = "render", "tank.sdf", "--bins", 40, "--tolerance", 0.5, "--noise", "none", "--format", "npz"

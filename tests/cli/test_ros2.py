@@ -141,7 +141,7 @@ def test_the_file_sets_options_and_topics_and_the_command_line_comes_first(trans
     )
 
 
-@pytest.mark.parametrize("words", [(), ("--pose", "1 2 -3 0 0 0.5")])
+@pytest.mark.parametrize("words", [pytest.param((), marks=pytest.mark.slow), ("--pose", "1 2 -3 0 0 0.5")])
 def test_the_scene_places_the_sonar_and_the_option_the_vehicle_that_carries_it(transports, tmp_path, words):
     mount = [0.5, 0.1, -0.2, 0.1, 0.2, 0.3]
     (tmp_path / "rov.toml").write_text(f'vehicle_frame = "base_link"\nmount = {mount}\n')
@@ -163,8 +163,10 @@ def test_the_scene_places_the_sonar_and_the_option_the_vehicle_that_carries_it(t
     [
         (("--pose-from", "pose=/rov/pose"), True),
         (("--pose-from", "pose=/rov/pose", "--bodies-from", "/rov/bodies"), False),
-        (("--pose-from", "pose=/rov/pose", "--without", "rov*"), False),
-        ((), False),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in ((("--pose-from", "pose=/rov/pose", "--without", "rov*"), False), ((), False))
+        ),
     ],
 )
 def test_a_hull_that_stays_behind_is_warned_of(transports, tmp_path, words, is_warned):
@@ -177,6 +179,7 @@ def test_a_hull_that_stays_behind_is_warned_of(transports, tmp_path, words, is_w
     assert ("model 'rov', which carries it, stays where it is" in found.output) == is_warned
 
 
+@pytest.mark.slow
 def test_counts_are_those_of_the_option_else_of_the_file(transports, tmp_path):
     (tmp_path / "deep.toml").write_text('counts = "bits=16"\n')
     quick = "pylon", *FAST, "--duration", "0.3", "--rate", "20", "--config", str(tmp_path / "deep.toml")
@@ -231,6 +234,7 @@ def test_time_and_poses_come_from_other_programs(transports, monkeypatch):
     np.testing.assert_array_equal([translation.x, translation.y, translation.z], at[:3, 3])
 
 
+@pytest.mark.slow
 def test_it_says_that_no_clock_comes(transports, monkeypatch, caplog):
     monkeypatch.setattr("sonar_gl.cli.ros2.CLOCK_REPORT_S", 0.15)
     found = run("pylon", *FAST, "--clock", "ros", "--duration", "0.4")

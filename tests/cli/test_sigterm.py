@@ -64,6 +64,7 @@ def test_a_signal_that_is_sent_twice_at_once_ends_a_command_as_one_does(unhandle
     assert not unhandled and "pings published" in printed
 
 
+@pytest.mark.slow
 def test_a_later_signal_ends_what_the_first_has_not(unhandled, monkeypatch):
     def ping(*_, **__):
         try:
@@ -144,6 +145,7 @@ def test_a_signal_within_the_last_import_of_a_command_does_not_reach_its_caller(
     assert not unhandled
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ignored", "expected"),
     [(False, (130, [])), pytest.param(True, (0, ["pylon.mp4"]), marks=pytest.mark.slow)],

@@ -91,7 +91,7 @@ def test_functions_run_where_their_machine_code_finds_no_room(tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-@pytest.mark.parametrize("n_bytes", [0, 30])
+@pytest.mark.parametrize("n_bytes", [pytest.param(0, marks=pytest.mark.slow), 30])
 def test_damaged_files_of_machine_code_are_written_again(suffix, n_bytes, tmp_path, monkeypatch):
     """After a loss of power a file may be empty; each ping ended with an EOFError, until the user deleted it."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
@@ -130,8 +130,8 @@ print(root(8.0), signal.getsignal(signal.SIGINT) is signal.default_int_handler)
 """
 
 
-@pytest.mark.parametrize("place", ["stream_list", "new_registrations"])
-@pytest.mark.parametrize("is_kept", [True, False])
+@pytest.mark.parametrize("place", ["stream_list", pytest.param("new_registrations", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("is_kept", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_an_interrupt_waits_until_a_function_is_compiled(place, is_kept, tmp_path):
     """After Ctrl-C in the first ping of a notebook, later pings ended with "generator raised StopIteration"."""
     if is_kept:
@@ -200,6 +200,7 @@ def run_twice(place, path, states, **environment):
     return [tuple(map(int, line.split())) for line in out.splitlines()]
 
 
+@pytest.mark.slow
 def test_machine_code_is_outdated_by_any_file_of_its_package(tmp_path):
     """Numba knows the file of the function alone: it would run with what it calls as that was before."""
 
@@ -221,6 +222,7 @@ def test_machine_code_is_outdated_by_any_file_of_its_package(tmp_path):
     assert found == [(3, 0), (3, 1), (5, 0), (5, 1), (21, 0), (21, 1)]
 
 
+@pytest.mark.slow
 def test_machine_code_of_a_package_in_an_archive_is_outdated_by_the_archive(tmp_path):
     def package(state, **changed):
         with zipfile.ZipFile(tmp_path / state, "w") as archive:
@@ -243,6 +245,7 @@ def test_sources_of_a_function_are_its_file_or_its_package(tmp_path):
         assert sources_of(str(tmp_path / name)) == [*(str(tmp_path / one) for one in (name, *others)), own]
 
 
+@pytest.mark.slow
 def test_functions_of_an_executable_run_and_are_kept(tmp_path):
     code = """
 import sys

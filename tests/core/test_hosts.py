@@ -50,7 +50,7 @@ def test_one_cannot_listen_at_others(host, family, words):
         check_host(host, family)
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+@pytest.mark.parametrize("host", [pytest.param("127.0.0.1", marks=pytest.mark.slow), "localhost"])
 def test_a_port_is_free_once_nobody_listens(host):
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]

@@ -151,7 +151,7 @@ def test_several_callers_share_a_thread():
     thread.close()
 
 
-@pytest.mark.parametrize("n_threads", [1, 2])
+@pytest.mark.parametrize("n_threads", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_world_has_one_second_thread_which_ends_with_it(monkeypatch, n_threads):
     """An early version had one thread per beamformer: ten more after four pings with multipath. On one core, none."""
     monkeypatch.setattr(world, "n_threads", lambda: n_threads)

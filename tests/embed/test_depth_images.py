@@ -176,6 +176,7 @@ def test_the_error_falls_with_the_resolution(truth, with_normals):
     assert errors[0] < 0.02 and errors[3] < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [0.5, 2.0])
 def test_a_floor_at_grazing_incidence_has_no_rings(height):
     sonar = sonar_of(range_m=30.0, n_bins=1200)
@@ -196,7 +197,12 @@ def test_a_floor_at_grazing_incidence_has_no_rings(height):
 
 
 @pytest.mark.parametrize(
-    "turn", ["roll 90", pytest.param("aside 20", marks=pytest.mark.slow), "down 5, roll -30"]
+    "turn",
+    [
+        pytest.param("roll 90", marks=pytest.mark.slow),
+        pytest.param("aside 20", marks=pytest.mark.slow),
+        "down 5, roll -30",
+    ],
 )
 def test_a_rotated_camera_gives_the_same_ping(truth, turn):
     quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
@@ -308,7 +314,10 @@ def test_reflectivity_by_pixel_and_by_body():
         assert np.allclose(ping(1).intensity, 2 * labelled.intensity, rtol=1e-6)
 
 
-@pytest.mark.parametrize("missing", [0.0, -1.0, np.nan, np.inf, -np.inf, 1e9])
+@pytest.mark.parametrize(
+    "missing",
+    [0.0, np.nan, -np.inf, *(pytest.param(one, marks=pytest.mark.slow) for one in (-1.0, np.inf, 1e9))],
+)
 def test_pixels_without_depth_are_empty(missing):
     shapes = box([9, 1, -2], [11, 3, 1]), sphere([12, -3, 0], 1.0), plane([0, 0, -1], 0.6)
     _, depth, normals, _ = Cast(*shapes).images(CAMERA)
@@ -327,6 +336,7 @@ def test_pixels_without_depth_are_empty(missing):
     assert pings[1].intensity.sum() == pytest.approx(pings[0].intensity.sum(), rel=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [400, *(pytest.param(n, marks=pytest.mark.slow) for n in (800, 1600))])
 def test_a_thin_rod_has_the_echo_of_its_closed_form(columns):
     """The rod is 3 cm thick at 8 m, 0.21 degrees: two, four and eight pixels wide."""
@@ -365,6 +375,7 @@ def test_surfaces_one_pixel_wide_are_taken_to_face_the_camera():
     assert wrong(found.intensity[:, near], known.intensity[:, near]) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_sphere_and_its_limb():
     camera = camera_of(SONAR, 960)
     _, depth, normals, _ = Cast(sphere([8, 0.5, 0.0], 1.0)).images(camera)

@@ -98,7 +98,7 @@ def draw(host, sensor, pose=POSE, lobes=True):
     [
         ("ideal", 60.0),
         ("physical", 130.0),
-        ("physical", 360.0),
+        pytest.param("physical", 360.0, marks=pytest.mark.slow),
         pytest.param("physical", 60.0, marks=pytest.mark.slow),
         pytest.param("ideal", 130.0, marks=pytest.mark.slow),
         pytest.param("ideal", 360.0, marks=pytest.mark.slow),
@@ -253,7 +253,8 @@ def test_textures_of_the_sectors_give_the_simulator_s_ping(sensor, holds, limit)
     assert np.allclose(ping.body_echo, true.body_echo, rtol=5e-3, atol=2e-4 * true.body_echo.sum())
 
 
-@pytest.mark.parametrize("normals", [True, False])
+@pytest.mark.slow
+@pytest.mark.parametrize("normals", [pytest.param(True, marks=pytest.mark.slow), False])
 @pytest.mark.parametrize("aside_rad", [pytest.param(0.0, marks=pytest.mark.slow), 0.2])
 def test_textures_of_other_projections_give_nearly_the_same_ping(normals, aside_rad):
     host, true = gl_host.Program(PLAIN), simulate(PLAIN, sampling=sg.Sampling(16, 400))
@@ -424,7 +425,9 @@ def sonar_program(old, new):
     return gl_host.make_program(gl_host.VERTEX, text)
 
 
-@pytest.mark.parametrize("exponent", [-100, -40, -10, 20, 66, 120])
+@pytest.mark.parametrize(
+    "exponent", [-100, 66, *(pytest.param(one, marks=pytest.mark.slow) for one in (-40, -10, 20, 120))]
+)
 def test_the_length_of_a_host_s_normals_changes_nothing(host, sensor, exponent):
     """Powers of two round nothing. Those of a world in millimetres, 1e-3 long, were taken for those of flat faces."""
     pings = []
@@ -887,7 +890,7 @@ def newest_version():
     return 3, 3
 
 
-@pytest.mark.parametrize("is_newest", [False, True])
+@pytest.mark.parametrize("is_newest", [pytest.param(False, marks=pytest.mark.slow), True])
 @pytest.mark.parametrize(
     "more",
     [

@@ -13,14 +13,16 @@ RADIUS_M, REFLECTIVITY = 0.02, 0.5
 @pytest.mark.parametrize(
     ("name", "beam", "settings"),
     [
-        ("p900-45", 128, {}),
         ("p900-45", 60, {"tvg_k": 40.0, "tvg_absorption_db_m": 0.1}),
         pytest.param(
             "p900-45", 128, {"beam_pattern": "box", "elevation_pattern": "box"}, marks=pytest.mark.slow
         ),
         pytest.param("gemini-720im", 5, {}, marks=pytest.mark.slow),
-        ("gemini-720im,steered=straight", 0, {}),
         pytest.param("p900-45,transmit_width_deg=60", 128, {}, marks=pytest.mark.slow),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (("p900-45", 128, {}), ("gemini-720im,steered=straight", 0, {}))
+        ),
     ],
 )
 def test_a_diffuse_sphere_has_the_level_of_the_sonar_equation(name, beam, settings):

@@ -131,6 +131,7 @@ def test_a_plate_face_on_is_steady():
     assert levels_db.std() == pytest.approx(10 / np.log(10) * np.sqrt(2e-3), rel=SIGMAS * 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("diffuse", "below_db"), [pytest.param(None, None, marks=pytest.mark.slow), (0.002, 0.5)]
 )
@@ -145,6 +146,7 @@ def test_a_plate_speckles_as_its_roughness_tells(diffuse, below_db):
     assert 0 < rice_db < (below_db or 0.75)
 
 
+@pytest.mark.slow
 def test_the_mean_of_many_pings_is_the_echo():
     """Over seeds: the standard error of each bin is its own spread over √n."""
     with sg.Simulator(SCENE, SONAR, sampling=SAMPLING) as simulator:

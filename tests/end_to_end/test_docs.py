@@ -162,6 +162,7 @@ def test_commands_run(words, folder):
         assert {path for path in folder.rglob("*") if path.is_file()} - before
 
 
+@pytest.mark.slow
 def test_the_python_example_and_the_command_of_the_first_screen_make_the_same_picture(folder):
     command = next(p.values[0] for p in commands())
     assert run(*command[1:], "--out", "command").exit_code == 0

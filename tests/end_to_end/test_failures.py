@@ -78,7 +78,9 @@ def test_grazing_floors(floor, tolerance):
     assert got["worst"] < 0.02
 
 
-@pytest.mark.parametrize("turn", [{"roll": HALF}, {"roll": -HALF, "pitch": 0.1}], ids=str)
+@pytest.mark.parametrize(
+    "turn", [pytest.param({"roll": HALF}, marks=pytest.mark.slow), {"roll": -HALF, "pitch": 0.1}], ids=str
+)
 def test_floors_with_a_sonar_on_its_side(turn):
     got = regimes.grazing_floor(3.0, 0.01, bins=200, nodes=2000, **turn)
     assert got["naive_wrong"] > 0.7
@@ -247,7 +249,16 @@ def test_the_ends_of_the_bins():
     assert ours == [-1, 0, 11, -1]
 
 
-@pytest.mark.parametrize("beams, bins", [(1, 1), (3, 7), (7, 3), (255, 8191), (4096, 512), (1, 8192)])
+@pytest.mark.parametrize(
+    "beams, bins",
+    [
+        (1, 1),
+        (7, 3),
+        (4096, 512),
+        (1, 8192),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((3, 7), (255, 8191))),
+    ],
+)
 def test_few_many_and_odd_counts(beams, bins):
     plain, ours = oddities.many_beams_and_bins(beams, bins)
     if beams > 100:

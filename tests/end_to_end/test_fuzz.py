@@ -19,7 +19,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:sonar 'fuzz'")  # warnings that 
 FUZZ = settings(
     max_examples=150, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck)
 )
-LIGHT = settings(FUZZ, max_examples=30)
+LIGHT = settings(FUZZ, max_examples=20)
 
 ODD = [0.0, -0.0, 1e-30, 1e-9, 1e-3, 1.0, -1.0, 20.0, 1e4, 5e5, 1e9, 1e30, 1e300, np.inf, -np.inf, np.nan]
 odd_numbers = st.one_of(st.sampled_from(ODD), st.floats(-30, 30), st.floats(width=32))

@@ -123,6 +123,7 @@ def test_the_source_archive_holds_what_builds_and_checks_it(sdist):
     assert here | files | pages <= held
 
 
+@pytest.mark.slow
 def test_the_installed_wheel_finds_its_files_from_anywhere(installed):
     found = look_around(installed)
     home = installed / "sonar_gl"

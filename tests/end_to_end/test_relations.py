@@ -81,7 +81,7 @@ def test_twice_the_reflectivity_is_twice_the_echo(sonar, acoustics, sampling):
 
 
 @families
-@pytest.mark.parametrize("scale", [0.5, 2.0])
+@pytest.mark.parametrize("scale", [0.5, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_a_world_of_another_size_has_the_same_picture(sonar, acoustics, sampling, scale):
     """To the bit, since the factor is a power of two: no length is stated anywhere."""
     ranges = {"range_min_m": sonar.range_min_m * scale, "range_max_m": sonar.range_max_m * scale}

@@ -44,9 +44,14 @@ def made(name, scene, resolution, sonar=SMALL):
         ("ours", (2, 16), (16, 128)),
         ("rays_footprints", (2, 16), (16, 128)),
         pytest.param("tubes", (4, 24), (24, 256), marks=pytest.mark.slow),
-        ("rays_regular", (8, 64), (16, 1200)),
-        ("rays_jittered", (8, 64), (16, 1200)),
-        ("raster_point", (8, 64), (16, 1000)),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (
+                ("rays_regular", (8, 64), (16, 1200)),
+                ("rays_jittered", (8, 64), (16, 1200)),
+                ("raster_point", (8, 64), (16, 1000)),
+            )
+        ),
     ],
 )
 def test_converges_to_the_truth(pylon, name, coarse, fine):

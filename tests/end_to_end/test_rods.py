@@ -52,6 +52,7 @@ HARD_BEFORE_A_FLOOR = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_first_rays")
 def test_the_true_echo_of_a_rod_agrees_with_the_reference():
     """The quadrature used as the truth agrees with ray casting."""

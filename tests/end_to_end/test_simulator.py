@@ -829,6 +829,7 @@ def test_reference_and_raster_agree_on_the_pylons():
     assert errors[2] < errors[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fov", [100.0, 200.0, 360.0])
 def test_demarco_image_of_wide_fans(fov):
     room = sg.Body("room", trimesh.creation.box((12, 10, 4)), reflectivity=1.0)

@@ -83,6 +83,7 @@ def test_poses_may_come_through_a_pipe_that_is_open():
     assert (ran.stdout, ran.stderr) == ("1\n", "")
 
 
+@pytest.mark.slow
 def test_a_sonar_may_come_through_a_pipe_that_is_open():
     """As by `--sonar /dev/stdin`, or `--sonar <(sonar-gl sonars p900-45)` of a shell; a change of it may follow."""
     program = "import sys; from sonar_gl.sonar.sonar_files import load_sonar; print(load_sonar(sys.argv[1]).n_beams)"

@@ -73,6 +73,7 @@ def test_a_sphere_has_its_target_strength(slope, how):
     assert total == pytest.approx(sphere_total(0.5, 5.0, 0.8, slope), rel=6e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "more_db"), [("brass", 0.90), ("steel", 0.29), ("glass", 0.02), ("rock", 4.26)]
 )
@@ -93,6 +94,7 @@ def test_a_sphere_of_a_material_adds_lobe_and_diffuse_part(name, more_db):
     assert 10 * np.log10(wanted_m2 / by_all_m2) == pytest.approx(more_db, abs=0.01)
 
 
+@pytest.mark.slow
 def test_all_implementations_of_the_lobe_agree():
     cosine = np.concatenate([[0.0, 1e-4, 1.0], np.random.default_rng(0).uniform(0.2, 1, 4093)])
     strength, slope = np.float32(0.7), np.random.default_rng(1).uniform(0.02, 0.5, 4096)
@@ -126,6 +128,7 @@ def shiny_world(slope=0.1):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("profile", "slope"),
     [

@@ -443,7 +443,9 @@ class TestMoving:
         assert bool(calls) == is_estimated
         assert sampler.choice.is_due == (not is_estimated)
 
-    @pytest.mark.parametrize(("share", "level"), [(1.001, 11), (0.999, 10)])
+    @pytest.mark.parametrize(
+        ("share", "level"), [(1.001, 11), pytest.param(0.999, 10, marks=pytest.mark.slow)]
+    )
     def test_samples_get_as_fine_at_once_as_a_ping_may_cost(self, share, level, monkeypatch):
         """By up to eight levels, that a check asks for, but for no more than 1.65 times the median."""
         judge = error_model.ErrorModel.judge
@@ -461,6 +463,7 @@ class TestMoving:
             simulator.ping(np.eye(4))
             assert sampler.choice.level == level and sampler.choice.is_due
 
+    @pytest.mark.slow
     def test_memory_is_given_back_once_many_pings_had_far_fewer_samples(self, simulator, monkeypatch):
         """A sonar that turns to and fro would take it anew each time, which takes longer than its samples."""
         dropped = []
@@ -560,7 +563,7 @@ class TestMoving:
     @pytest.mark.parametrize(
         "first, second",
         [
-            (sg.pose(x=-12.6), sg.pose(x=-11.8)),
+            pytest.param(sg.pose(x=-12.6), sg.pose(x=-11.8), marks=pytest.mark.slow),
             (sg.pose(yaw=0.5), sg.pose(yaw=0.35)),
         ],
         ids=["ahead", "yaw"],
@@ -898,12 +901,17 @@ def plate_edge_on(rng):
 @pytest.mark.parametrize(
     ("bodies", "seed"),
     [
-        (upright_poles, [32, 7, ord("u")]),
         (upright_poles, [38, 7, ord("u")]),
-        (upright_poles, [50, 7, ord("u")]),
-        (plate_edge_on, [2, 4, ord("e")]),
         (plate_edge_on, [7, 4, ord("e")]),
-        (plate_edge_on, [16, 4, ord("e")]),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (
+                (upright_poles, [32, 7, ord("u")]),
+                (upright_poles, [50, 7, ord("u")]),
+                (plate_edge_on, [2, 4, ord("e")]),
+                (plate_edge_on, [16, 4, ord("e")]),
+            )
+        ),
     ],
     ids=["poles 32", "poles 38", "poles 50", "plate 2", "plate 7", "plate 16"],
 )
@@ -1024,7 +1032,7 @@ def test_a_body_between_boxes_changes_neither_samples_nor_echo():
 @pytest.mark.parametrize("columns_per_beam", [1, 3, 12])
 def test_samples_between_boxes_are_those_that_no_beam_receives(columns_per_beam):
     """Each sample of a row by itself, wider than the boxes of 0.6 degrees or narrower, returns an echo or not."""
-    sonar = sg.Sonar("gaps", 900e3, 24, 200, 48.0, 20.0, 0.6, 0.5, 12.0)
+    sonar = sg.Sonar("gaps", 900e3, 8, 50, 16.0, 20.0, 0.6, 0.5, 12.0)
     former = make_beamformer(sonar, IDEAL, sg.Sampling(columns_per_beam, 8))
     (sector,), (received,) = former.fan.sectors, former.received_u
     u, v = sector.sample_coordinates()
@@ -1144,7 +1152,7 @@ class TestSideLobes:
         # the ball takes ten more.
         assert max(np.subtract(levels[1], levels[0])) <= 2
 
-    @pytest.mark.parametrize("azimuth_deg", [0, 20])
+    @pytest.mark.parametrize("azimuth_deg", [pytest.param(0, marks=pytest.mark.slow), 20])
     @pytest.mark.parametrize("elevation_deg", [0, 8, -15, 24, -45, 40, 60, 80])
     def test_the_bound_of_a_body_is_above_its_echo_and_close(self, elevation_deg, azimuth_deg):
         ball, pose = self.ball(elevation_deg, azimuth_deg), np.eye(4)
@@ -1211,7 +1219,14 @@ class TestPlan:
             alone = [simulator.plan([pose]).level for pose in poses]
         assert plan.level == max(alone)
 
-    @pytest.mark.parametrize("change", ["bodies", "place", "add", "reflectivity", "water"])
+    @pytest.mark.parametrize(
+        "change",
+        [
+            "bodies",
+            "reflectivity",
+            *(pytest.param(one, marks=pytest.mark.slow) for one in ("place", "add", "water")),
+        ],
+    )
     def test_a_plan_estimates_no_error_of_other_bodies_and_water(self, change):
         """The estimate was that of the plan: a thousandth, where rods that came into view erred by a sixth."""
         moved = {"rod 0": sg.pose(5)}
@@ -1375,6 +1390,7 @@ class TestBodiesThatSamplesMiss:
         error, share = self.body_error([floor, ball], sg.pose(0, 0, 0, 0, 0.15, 0))
         assert share > 0.01 and error < self.LIMIT
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("depth_m", "x", "y", "radius_m"),
         [(7.85, 0.04, 0.89, 0.028), pytest.param(9.33, 0.89, 3.51, 0.029, marks=pytest.mark.slow)],
@@ -1388,6 +1404,7 @@ class TestBodiesThatSamplesMiss:
         error, share = self.body_error([floor, ball], sg.pose(pitch=np.pi / 2))
         assert share > 1e-3 and error < self.LIMIT
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("material", "y", "radius_m"),
         [
@@ -1421,6 +1438,7 @@ class TestBodiesThatSamplesMiss:
             levels.append(plan.level)
         assert max(levels) <= levels[0] + 2
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("yaw", [0.02, 0.2])
     def test_the_narrow_glint_of_a_small_mirror_is_met(self, yaw):
         """It fills a hundredth of the mirror, whose other samples return nothing."""
@@ -1450,6 +1468,7 @@ class TestBodiesThatSamplesMiss:
         found, truth = echoes
         assert truth[2] > 1e-3 * truth.sum() and abs(found[2] / truth[2] - 1) < self.LIMIT
 
+    @pytest.mark.slow
     def test_a_body_that_becomes_bright_is_met(self):
         """Nothing moved, so that no ping was checked any more."""
         behind = wall(15, reflectivity="sand")
@@ -1479,6 +1498,7 @@ def test_reflectivity_that_is_the_bodies_own_asks_for_no_check(monkeypatch):
     assert checks == []
 
 
+@pytest.mark.slow
 def test_the_greatest_lobe_in_view_bounds_what_samples_return():
     """Boxes at random places; where the glint is in view and met, the bound is close.
 
@@ -1690,7 +1710,7 @@ def worst_beside_near(other, samples, share, acoustics=IDEAL, **request):
     [(900, 0.00051, True), (900, 0.00049, False), (FEW - 1, 0.0, True), (FEW, 0.0, False)],
     ids=["strong", "weak", "few samples", "enough samples"],
 )
-@pytest.mark.parametrize("place", ["beside", "behind"])
+@pytest.mark.parametrize("place", ["beside", pytest.param("behind", marks=pytest.mark.slow)])
 def test_a_body_counts_if_its_echo_is_strong_or_is_not_known(samples, share, counts, place):
     """From a two thousandth of the total on; or where few samples met it, and it is not hidden where it is now."""
     places = {"beside": sg.pose(6, 3), "behind": sg.pose(8)}

@@ -179,6 +179,7 @@ def test_a_level_that_does_not_fit_takes_the_finest_that_does(monkeypatch):
     assert forward == backward[::-1]
 
 
+@pytest.mark.slow
 def test_a_near_view_does_not_limit_the_samples_of_others(monkeypatch):
     """How many samples fit depends on how much of the fan a body fills: a ball at 0.5 m all of it, at 8 m little."""
     monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)

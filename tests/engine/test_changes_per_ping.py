@@ -54,7 +54,7 @@ def check_same(one, other):
     assert one.intensity.any()
 
 
-@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("engine", ["cpu", pytest.param("opengl", marks=pytest.mark.slow)])
 def test_a_ping_with_other_reflectivity_is_that_of_such_a_scene(monkeypatch, engine):
     """Specular lobes stay; values per face are scaled by the factor, here one half, which causes no rounding."""
     monkeypatch.setenv("SONAR_GL_ENGINE", engine)

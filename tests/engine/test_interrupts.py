@@ -27,6 +27,7 @@ class Unpickled(dict):
         return super().__getitem__(key)
 
 
+@pytest.mark.slow
 def test_no_kernel_runs_python_code_as_it_returns(monkeypatch):
     """There Ctrl-C is a SystemError, or a ValueError, that no `except KeyboardInterrupt` catches.
 
@@ -51,7 +52,7 @@ def test_no_kernel_runs_python_code_as_it_returns(monkeypatch):
 
 
 @pytest.mark.timeout(60, method="thread")  # a hang may be one that no signal ends
-@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_ping_is_interrupted_at_its_lines(every):
     """Early versions hung, gave the ping before, or lacked framebuffers."""
     found = interrupts.interrupt(
@@ -61,6 +62,7 @@ def test_a_ping_is_interrupted_at_its_lines(every):
     assert found.faults == []
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(60, method="thread")
 @pytest.mark.parametrize(
     "module, n_least",

@@ -196,6 +196,7 @@ def test_what_is_in_a_model_moves_with_the_body_of_its_name():
             it.ping(POSE, bodies={"rov": None})
 
 
+@pytest.mark.slow
 def test_a_school_of_models_moves_about_as_fast_as_its_bodies():
     """For each model all bodies were gone through: the time grew with the square of their number."""
     at = {f"fish {k}": sg.pose(5, k) for k in range(1500)}
@@ -307,7 +308,7 @@ def test_adding_a_body_takes_no_more_work_where_many_came_and_went():
         assert it.world.engine.meshes.most_patches == len(it.scene.bodies)  # one for each box
 
 
-@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("engine", ["cpu", pytest.param("opengl", marks=pytest.mark.slow)])
 def test_bodies_that_are_added_one_by_one_take_no_more_memory_traffic_where_many_are(engine):
     """Each add copied the arrays of all bodies, so that 10 000 of them took 19 s, and all at once 0.2 s."""
     names = (f"box {number}" for number in count())
@@ -344,7 +345,7 @@ def world_of(bodies, engine):
     return it
 
 
-@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+@pytest.mark.parametrize("engine", ["cpu", pytest.param("opengl", marks=pytest.mark.slow)])
 def test_bodies_that_were_added_one_by_one_act_like_those_of_one_call(engine):
     rng = np.random.default_rng(4)
     makes = [ALL[number] for number in rng.integers(len(ALL), size=20)]
@@ -617,7 +618,7 @@ def test_deleting_one_sonar_does_not_affect_the_other():
     first.close()
 
 
-@pytest.mark.parametrize("multipath", ["none", "coherent"])
+@pytest.mark.parametrize("multipath", [pytest.param("none", marks=pytest.mark.slow), "coherent"])
 def test_a_mesh_that_is_changed_in_place_stays_as_it_was_when_its_body_was_taken(multipath):
     """Also where it is read late: for the estimate of the error, reflectors, and why a ping has no echo."""
     acoustics = replace(sg.Acoustics.ideal(), multipath=multipath)

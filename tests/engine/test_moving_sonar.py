@@ -60,6 +60,7 @@ def worst_of(costs):
     return max(costs[k] / median(costs[max(0, k - 100) : k]) for k in range(1, len(costs)))
 
 
+@pytest.mark.slow
 def test_no_ping_costs_three_times_the_median_of_the_last_hundred(monkeypatch):
     costs, estimates, rows = swim(monkeypatch)
     assert rows.max() > 2 * rows.min()
@@ -84,7 +85,13 @@ def without_wall(k):
     return sg.pose(0.001 * k), {"wall": None} if k % 60 >= 30 else None
 
 
-@pytest.mark.parametrize("loop", [away_and_back, through_the_wall, without_wall])
+@pytest.mark.parametrize(
+    "loop",
+    [
+        through_the_wall,
+        *(pytest.param(one, marks=pytest.mark.slow) for one in (away_and_back, without_wall)),
+    ],
+)
 @pytest.mark.filterwarnings("ignore::sonar_gl.sonar.sampling.ToleranceWarning", "ignore:no echo came back")
 def test_an_echo_that_comes_back_costs_no_more(monkeypatch, loop):
     """It was searched for its samples in one ping, or they were chosen from that ping alone."""
@@ -139,6 +146,7 @@ def test_pings_that_wait_for_a_check_have_made_what_it_needs(monkeypatch):
     assert n_late_checks > 0
 
 
+@pytest.mark.slow
 def test_the_stage_of_samples_that_are_not_checked_at_once_is_made_by_the_ping_that_has_them(monkeypatch):
     """The ping whose check asked for them made it, beside the stage of the check: it is the one that takes longest."""
     made, make = [], StageCache.make
@@ -160,6 +168,7 @@ def test_the_stage_of_samples_that_are_not_checked_at_once_is_made_by_the_ping_t
     assert max(n for n, _ in last) == 0 and max(after for _, after in last) == 2
 
 
+@pytest.mark.slow
 def test_an_estimate_is_of_the_samples_of_the_ping_or_of_coarser_ones_and_then_above_the_tolerance():
     """Finer samples may wait for their check; the first ping with coarser ones is checked, since it costs less."""
     n_finer, rows = 0, []
@@ -176,6 +185,7 @@ def test_an_estimate_is_of_the_samples_of_the_ping_or_of_coarser_ones_and_then_a
     assert any(after < before for before, after in pairwise(rows))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("labels", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_sequences_are_the_pings_of_single_calls_to_the_bit(labels):
     """Pings that were started before a check changed the samples are made again."""
@@ -190,6 +200,7 @@ def test_sequences_are_the_pings_of_single_calls_to_the_bit(labels):
         np.testing.assert_array_equal(one.body_id, other.body_id)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["ping", "pings"])
 def test_samples_get_coarser_where_more_do_not_fit(monkeypatch, way):
     """A ball fills more and more of a window of samples as the sonar comes near."""
@@ -202,6 +213,7 @@ def test_samples_get_coarser_where_more_do_not_fit(monkeypatch, way):
     assert any(few < many for many, few in zip(*rows, strict=True))
 
 
+@pytest.mark.slow
 def test_planned_samples_fit_in_all_planned_pings(monkeypatch):
     """Far from a ball many samples fit, and were planned; near it, where it fills the fan, they ended the pings."""
     monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 2000)

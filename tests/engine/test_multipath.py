@@ -85,6 +85,7 @@ CASES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("h_sonar", "h_target", "x", "direct", "single", "double"), CASES)
 def test_a_small_target_has_multipath_echoes_at_the_ranges_and_levels_of_its_image(
     perfect, h_sonar, h_target, x, direct, single, double
@@ -122,7 +123,7 @@ def test_a_small_target_has_multipath_echoes_at_the_ranges_and_levels_of_its_ima
     assert around(coherent, double)[0] == pytest.approx(twice, rel=1e-4)
 
 
-@pytest.mark.parametrize("side", [1, -1], ids=["port", "starboard"])
+@pytest.mark.parametrize("side", [1, pytest.param(-1, marks=pytest.mark.slow)], ids=["port", "starboard"])
 def test_a_single_bounce_echo_arrives_alike_straight_and_by_way_of_the_reflector(perfect, side):
     """Both ways have the same path, by reciprocity, though the receiving beams see the target at other distances."""
     perfect("wall")
@@ -173,11 +174,13 @@ def line_array_amplitude(u, taper, width_rad):
 @pytest.mark.parametrize(
     ("taper", "steered", "wall_m", "within"),
     [
-        ("hamming", "alike", 0.03, 0.003),
         ("hamming", "straight", 0.1, 0.003),
         ("hamming", "alike", 0.4, 0.003),
-        ("uniform", "straight", 0.07, 0.01),
         ("uniform", "alike", 0.1, 0.01),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (("hamming", "alike", 0.03, 0.003), ("uniform", "straight", 0.07, 0.01))
+        ),
     ],
 )
 def test_coherent_ways_by_a_wall_aside_sum_to_the_power_of_the_field_of_both(
@@ -193,7 +196,7 @@ def test_coherent_ways_by_a_wall_aside_sum_to_the_power_of_the_field_of_both(
     )
     acoustics = replace(IDEAL, beam_pattern="line_array")
     direct, incoherent, coherent = (
-        sg.Simulator(scene, sonar, replace(acoustics, multipath=way), sg.Sampling(24, 800), 1e-3)
+        sg.Simulator(scene, sonar, replace(acoustics, multipath=way), sg.Sampling(12, 400), 1e-3)
         .ping(sg.pose())
         .intensity.sum(axis=1, dtype=np.float64)
         for way in ("none", "incoherent", "coherent")
@@ -346,6 +349,7 @@ def test_a_body_before_the_reflector_removes_its_multipath(perfect):
     assert multipath_echo(hidden, pose).sum() < 0.01 * multipath_echo(bare, pose).sum()
 
 
+@pytest.mark.slow
 def test_sequences_and_reruns_give_the_same_bytes(perfect):
     perfect("floor", "wall", "end")
     scene, pose, _ = SCENES["tank"]
@@ -742,6 +746,7 @@ def test_deep_water_does_not_hide_bodies(depth_m):
         assert pings[0].any()
 
 
+@pytest.mark.slow
 def test_a_floor_at_a_grazing_angle_returns_thrice_the_direct_echo(perfect):
     """Both ways of a single bounce and the double bounce are as long as the direct way, to 0.3 %."""
     perfect("floor")
@@ -812,6 +817,7 @@ def test_rows_of_a_view_look_where_they_did():
     assert max(one.rows for one in multipath.THINNINGS.values() if one.is_drawn_alike) <= MARGIN
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_naive", [False, True], ids=["ours", "naive"])
 def test_few_samples_do_not_extend_a_body(perfect, monkeypatch, is_naive):
     """A sample stands for all up to the next row: the highest row of what is summed must meet nothing."""
@@ -843,6 +849,7 @@ def test_few_samples_do_not_extend_a_body(perfect, monkeypatch, is_naive):
     assert any(met) == is_naive
 
 
+@pytest.mark.slow
 def test_wide_columns_of_the_sonar_and_of_its_images_are_apart(perfect, monkeypatch):
     """They lie in the same rows, one after the other: without clearing in between, 3 % of the echo is wrong."""
     scene, pose, reflectors = SCENES["tank"]
@@ -878,7 +885,7 @@ def images_of(simulator, pose, halvings):
         return pipeline.draw(run.image_sources, [setup], run.resolution_ahead)[0].images
 
 
-@pytest.mark.parametrize("steered", ["alike", "straight"])
+@pytest.mark.parametrize("steered", [pytest.param("alike", marks=pytest.mark.slow), "straight"])
 @pytest.mark.parametrize(
     ("height_m", "place", "radius_m"),
     [
@@ -904,6 +911,7 @@ def test_it_is_known_how_many_samples_an_image_has_on_what_the_sonar_sees(
     assert of_ball == pytest.approx(imaged.samples[2], rel=0.25)
 
 
+@pytest.mark.slow
 def test_a_small_body_whose_image_lies_in_the_side_lobes_keeps_its_multipath():
     """With these numbers of rows it had none: samples are coarser there, and the few of weak multipath missed it."""
     scene = sg.Scene([ball(6.0, 1.5, -3, 0.1)], surface_z_m=0.0, surface_roughness_m=0.0)
@@ -953,7 +961,7 @@ def error_by_many_samples(ping, scene, sonar, pose, acoustics, sampling):
     return np.abs(ping.intensity - truth).sum() / truth.sum()
 
 
-@pytest.mark.parametrize("tolerance", [0.05, 0.01])
+@pytest.mark.parametrize("tolerance", [0.05, pytest.param(0.01, marks=pytest.mark.slow)])
 @BELOW_THE_APERTURE
 def test_a_body_that_echoes_by_way_of_the_surface_alone_has_the_samples_that_it_needs(
     x, y, radius_m, tolerance
@@ -968,7 +976,13 @@ def test_a_body_that_echoes_by_way_of_the_surface_alone_has_the_samples_that_it_
     assert error_by_many_samples(ping, scene, UPWARD, pose, MULTIPATH, many) <= tolerance
 
 
-@pytest.mark.parametrize(("radius_m", "tolerance"), [(0.005, 0.05), (0.002, 0.05), (0.002, 0.02)])
+@pytest.mark.parametrize(
+    ("radius_m", "tolerance"),
+    [
+        (0.002, 0.05),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((0.005, 0.05), (0.002, 0.02))),
+    ],
+)
 def test_rods_by_way_of_the_surface_have_more_samples_than_the_wall_before_the_sonar(radius_m, tolerance):
     """The wall alone has a direct echo, for which few samples do; the sum was off by 6 and 7 % at 5 %."""
     rods = [
@@ -986,6 +1000,7 @@ def test_rods_by_way_of_the_surface_have_more_samples_than_the_wall_before_the_s
     assert error_by_many_samples(ping, scene, sonar, pose, MULTIPATH, sg.Sampling(24, 1200)) <= tolerance
 
 
+@pytest.mark.slow
 @BELOW_THE_APERTURE
 def test_the_estimate_says_that_a_body_that_echoes_by_way_of_the_surface_alone_has_few_samples(
     x, y, radius_m, monkeypatch
@@ -1037,7 +1052,7 @@ def test_the_tolerance_covers_the_multipath_of_large_faces(name, yaw):
     assert error < 1.3 * ping.error_estimate  # the estimate exceeds 19 of 20 errors, not all
 
 
-@pytest.mark.parametrize("seed", [20015, 20131])
+@pytest.mark.parametrize("seed", [20015, pytest.param(20131, marks=pytest.mark.slow)])
 def test_multipath_that_is_sampled_finely_enough_has_an_estimate_within_the_tolerance(seed):
     """It was up to 13 % above it, without a word: samples are chosen beside a direct echo that errs by less."""
     scene, sonar, pose, acoustics = random_pool(seed)
@@ -1066,7 +1081,8 @@ def test_multipath_that_breaks_the_tolerance_is_warned_of_once_until_it_keeps_it
             simulator.ping(pose)
 
 
-@pytest.mark.parametrize("fit", [1, 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("fit", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_multipath_whose_finer_samples_are_not_drawn_is_warned_of(monkeypatch, fit):
     """Where warnings are errors, each ping raises one."""
     draw = pipeline.draw_images
@@ -1122,10 +1138,11 @@ def test_image_sources_of_given_samples_are_no_finer_than_a_sampling_can_be():
         assert simulator.run.image_sampling.choice.halvings < 0
 
 
+@pytest.mark.slow
 def test_image_sources_of_given_samples_are_no_finer_than_fits_into_the_driver_s_pictures():
     """An error said that more columns had come than the user had asked for."""
     sonar = replace(SONAR, n_beams=30, azimuth_fov_deg=60.0, beam_width_deg=2.0)
-    scene, settings = wall_below_a_calm_surface(0.3), (MULTIPATH, sg.Sampling(400, 20), 0.001)
+    scene, settings = wall_below_a_calm_surface(0.3), (MULTIPATH, sg.Sampling(400, 8), 0.001)
     with sg.Simulator(scene, sonar, *settings, engine="opengl") as simulator:
         found = simulator.ping(sg.pose(0, 0, -1.0)).intensity.astype(np.float64)
         # 12 000 of at most 16 384 columns are as many as those of the direct view

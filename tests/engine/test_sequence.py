@@ -69,7 +69,7 @@ def it():
 
 
 @pytest.mark.parametrize("labels", [False, True])
-@pytest.mark.parametrize("n", [1, 3, 4, 5, 8, 11])
+@pytest.mark.parametrize("n", [1, 4, 11, *(pytest.param(one, marks=pytest.mark.slow) for one in (3, 5, 8))])
 def test_a_sequence_gives_the_pings_of_single_calls(it, n, labels):
     """The numbers of pings are less than a batch, whole batches, and in between."""
     together = list(it.pings(POSES[:n], labels=labels))
@@ -297,7 +297,15 @@ def test_a_change_of_the_echo_causes_a_new_estimate(monkeypatch):
     check_all_same(together, alone)
 
 
-@pytest.mark.parametrize("good", [0, 3, 4, 9, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 6, 8))])
+@pytest.mark.parametrize(
+    "good",
+    [
+        0,
+        4,
+        *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 6, 8)),
+        *(pytest.param(one, marks=pytest.mark.slow) for one in (3, 9)),
+    ],
+)
 @pytest.mark.parametrize("way", ["pose", "raise", "bodies"])
 def test_an_error_in_the_poses_is_raised_in_order(good, way):
     """The pings before the error come first, then the error itself; the simulator goes on."""
@@ -633,6 +641,7 @@ def test_a_generator_of_poses_may_add_bodies():
             np.testing.assert_array_equal(getattr(ping, name), getattr(single, name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_rad", [0.01, 0.02])
 def test_samples_do_not_flicker_where_they_change_within_a_batch(step_rad):
     """Pings that were drawn ahead, before the samples changed, are drawn once more: 41 rows, then 58, never back."""
@@ -762,7 +771,7 @@ def round_about():
     )
 
 
-@pytest.mark.parametrize("labels", [False, True])
+@pytest.mark.parametrize("labels", [pytest.param(False, marks=pytest.mark.slow), True])
 @pytest.mark.parametrize("multipath", ["none", "incoherent"])
 def test_pings_far_from_each_other_are_those_of_single_calls(labels, multipath, monkeypatch):
     """Threads choose their samples side by side; those near to one of them wait for its choice."""
@@ -784,7 +793,9 @@ def test_pings_far_from_each_other_are_those_of_single_calls(labels, multipath, 
         check_same(one, other)
 
 
-@pytest.mark.parametrize(("step_m", "tolerance"), [(0.02, 0.02), (0.06, 0.05)])
+@pytest.mark.parametrize(
+    ("step_m", "tolerance"), [pytest.param(0.02, 0.02, marks=pytest.mark.slow), (0.06, 0.05)]
+)
 def test_image_sources_are_sampled_as_in_single_calls(step_m, tolerance):
     """Where a check has made a comparison due, the next ping waited for none; one made again skipped its own."""
     bodies = [
@@ -944,10 +955,15 @@ def test_pings_that_become_small_and_large_again_are_those_of_single_calls(hande
     [
         ({}, {"labels": True}),
         ({"multipath": "incoherent"}, {}),
-        ({"volume_reverberation": True, "water": ROUGH_SEA}, {}),
-        ({"surface_reverberation": True, "water": ROUGH_SEA}, {}),
-        ({"specular": True}, {"noise": sg.Noise(speckle=True)}),
-        ({"bubbles": True}, {}),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (
+                ({"volume_reverberation": True, "water": ROUGH_SEA}, {}),
+                ({"surface_reverberation": True, "water": ROUGH_SEA}, {}),
+                ({"specular": True}, {"noise": sg.Noise(speckle=True)}),
+                ({"bubbles": True}, {}),
+            )
+        ),
     ],
 )
 def test_pings_of_more_than_a_direct_echo_are_not_small(physics, options, handed_over, monkeypatch):

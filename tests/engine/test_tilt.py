@@ -51,8 +51,8 @@ def check_same(tilted: sg.Ping, level: sg.Ping, pose) -> None:
 def test_a_tilted_head_sees_what_a_level_one_sees_at_its_pose(engine):
     settings = {"noise": NOISE, "labels": True, "background": ["floor"]}
     with (
-        sg.Simulator(scene(), TILTED, ACOUSTICS, SAMPLING, engine=engine) as tilted,
-        sg.Simulator(tilted, LEVEL, ACOUSTICS, SAMPLING) as level,
+        sg.Simulator(scene(), TILTED, ACOUSTICS, SAMPLING, 0.3, engine=engine) as tilted,
+        sg.Simulator(tilted, LEVEL, ACOUSTICS, SAMPLING, 0.3) as level,
     ):
         in_head = (VELOCITY.reshape(2, 3) @ TILT[:3, :3]).ravel()
         for pose in POSES[:2]:
@@ -112,6 +112,7 @@ def test_a_floor_is_seen_where_the_head_points():
     assert np.nanmax(np.abs(ping.elevation_rad)) <= half
 
 
+@pytest.mark.slow
 def test_depth_images_are_in_the_axes_of_the_housing():
     """A level head is given the same pixels: cameras that cover the fan are tilted with the head."""
     pings = []

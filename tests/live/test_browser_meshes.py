@@ -16,7 +16,9 @@ def test_a_small_scene_stays_as_it_is():
         assert mesh.faces.tolist() == np.asarray(body.surface.faces).tolist()
 
 
-@pytest.mark.parametrize("most", [20_000, 2_000, 200])
+@pytest.mark.parametrize(
+    "most", [200, *(pytest.param(one, marks=pytest.mark.slow) for one in (20_000, 2_000))]
+)
 def test_a_ball_keeps_its_shape(most):
     ball = trimesh.creation.icosphere(6, 2.0)  # 81 920 triangles
     box = trimesh.creation.box((1, 1, 1))

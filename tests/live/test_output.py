@@ -73,7 +73,7 @@ def test_the_command_line_makes_the_saved_picture(session, tmp_path, changes):
         assert again.read_bytes() == saved.with_suffix(suffix).read_bytes()
 
 
-@pytest.mark.parametrize("form", ["fan", "polar"])
+@pytest.mark.parametrize("form", [pytest.param("fan", marks=pytest.mark.slow), "polar"])
 def test_saved_gray_pictures_hold_16_bits(session, form):
     session.change(counts=sg.Counts(bits=16), colormap="gray", form=form, height=600)
     frame = session.next_frame()
@@ -157,10 +157,9 @@ def test_pictures_are_numbered_in_the_folder(session, tmp_path):
     "name",
     [
         "../../escape",
-        "",
         "\x00",
-        "x" * 500,
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("/etc/x", "a/b", "..")),
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ("", "x" * 500)),
     ],
 )
 def test_no_name_of_a_scene_leads_out_of_the_folder(scene, tmp_path, name):
@@ -415,7 +414,15 @@ def test_poses_become_a_job_that_batch_takes(session, tmp_path):
     assert f"p900_45 in pylon: {beams} beams x {bins} bins" in done.output
 
 
-@pytest.mark.parametrize("text", ["mine.toml", "mine.toml#b,tilt_deg=5", "~/mine.toml#b", "~mine.toml"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param("mine.toml", marks=pytest.mark.slow),
+        "mine.toml#b,tilt_deg=5",
+        "~/mine.toml#b",
+        pytest.param("~mine.toml", marks=pytest.mark.slow),
+    ],
+)
 def test_a_new_job_names_the_users_sonar_as_it_is_found_from_its_folder(scene, tmp_path, monkeypatch, text):
     (tmp_path / "home").mkdir()
     monkeypatch.setenv("HOME", str(tmp_path / "home"))

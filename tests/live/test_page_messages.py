@@ -114,6 +114,7 @@ def test_a_body_is_dragged_and_put_back(session, browser):
     assert session.bodies()["box"][:3, 3].tolist() == home
 
 
+@pytest.mark.slow
 def test_a_mesh_in_utm_and_the_sonar_before_it_are_shown_in_their_places(tmp_path):
     """Its vertices are relative to its middle, since browsers round them to float32, and all to a place near by."""
     away = np.array([500_000.0, 4_500_000.25, -30.0])
@@ -176,6 +177,7 @@ def test_a_selected_body_is_named_and_outlined_until_it_is_unselected(session, b
     assert browser.nodes[body_node(session, "floor")]["bindings"] != []
 
 
+@pytest.mark.slow
 def test_the_page_says_what_the_last_click_has_met(session, page, browser):
     pixels = session.pixels_of(session.frame, "pylon_square")
     row, column = np.argwhere(pixels)[0]
@@ -205,6 +207,7 @@ def placed(node):
     return pose_of(node["wxyz"], node["position"])
 
 
+@pytest.mark.slow
 def test_the_fan_and_its_picture_tilt_with_the_head(session, browser):
     wait_until(lambda: "wxyz" in browser.nodes.get("/sonar/picture_0", {}))
     outlines, flat = browser.counts["/sonar/outline"], placed(browser.nodes["/sonar/picture_0"])
@@ -311,8 +314,8 @@ def test_the_pointer_is_read_once_and_no_more_once_its_browser_is_gone(session, 
     "headers",
     [
         {"Origin": "https://example.org"},
-        {"Origin": "null"},
-        {"Origin": "http://127.0.0.1:1"},
+        pytest.param({"Origin": "null"}, marks=pytest.mark.slow),
+        pytest.param({"Origin": "http://127.0.0.1:1"}, marks=pytest.mark.slow),
         {"Host": "example.org:8080", "Origin": "http://example.org:8080"},  # a name that means 127.0.0.1
     ],
 )
@@ -406,6 +409,7 @@ def test_a_failure_of_the_page_itself_keeps_its_traceback(browser, monkeypatch, 
     assert record.exc_info[0] is ZeroDivisionError and record.name == "asyncio"
 
 
+@pytest.mark.slow
 def test_a_speed_that_is_no_number_is_refused(session, browser):
     browser.change("speed, m/s", float("nan"))
     wait_until(lambda: browser.notes == ["speed must lie in 0.1..10 (got nan; give m/s)"])
@@ -430,6 +434,7 @@ def test_numbers_beyond_the_ends_of_a_slider_are_refused_in_its_own_words(sessio
     assert session.settings == before
 
 
+@pytest.mark.slow
 def test_sliders_show_numbers_in_force_beyond_their_ends(session, browser):
     water = replace(session.settings.water, depth_m=3000.0)
     session.change(
@@ -465,6 +470,7 @@ def test_a_part_of_the_page_that_fails_stops_no_other(session, browser, monkeypa
     assert caplog.text.count("Traceback") == 1
 
 
+@pytest.mark.slow
 def test_a_recording_that_fails_is_reported_to_all(session, page, browser, monkeypatch):
     def full(path, _ping):
         raise sg.Error(f"cannot write {str(path)!r}: No space left on device")
@@ -489,6 +495,7 @@ def test_a_recording_that_ends_names_its_folder_once(session, browser):
     assert browser.notes[1] == f"{session.output.n_recorded} pings into pylon_0001 in {session.output.folder}"
 
 
+@pytest.mark.slow
 def test_a_recording_goes_on_without_a_browser_and_the_log_says_so(scene, tmp_path, caplog):
     folder = tmp_path / "out" / "pylon_0001"
     session = LiveSession(scene, SETTINGS, folder=tmp_path / "out")
@@ -556,6 +563,7 @@ def test_the_page_says_that_the_picture_is_of_the_settings_before(session, brows
     assert session.frame.settings.range_m == 12.0
 
 
+@pytest.mark.slow
 def test_the_first_ping_has_no_rate(scene):
     settings = SETTINGS.changed(max_rate_hz=0.01)  # there is no second one
     with LiveSession(scene, settings) as session, browsing(session) as browser:
@@ -596,6 +604,7 @@ def price_tables(browser):
     return [text for one in browser.values.values() if "multipath</td>" in (text := str(one.get("content")))]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("timed_once")
 def test_terms_are_switched_and_priced(session, browser):
     browser.change("absorption", True)
@@ -637,6 +646,7 @@ def open_and_close(scene, folder, prices=False):
         assert not price_tables(client)
 
 
+@pytest.mark.slow
 def test_a_view_that_is_closed_ends_the_pricing_of_terms_and_leaves_no_thread(scene, tmp_path, monkeypatch):
     # so many turns take minutes: only an end at the next ping is in time
     monkeypatch.setattr(terms_module, "TURNS", 2000)
@@ -676,6 +686,7 @@ def test_a_program_that_changes_the_sonar_again_and_again_fills_no_list(session,
     wait_until(lambda: session.settings.sonar == own)
 
 
+@pytest.mark.slow
 def test_the_polar_form_has_no_picture_in_3d(session, browser):
     wait_until(lambda: "/sonar/picture_0" in browser.nodes)
     browser.change("form", "polar")

@@ -81,6 +81,7 @@ def test_it_pings_only_while_somebody_listens(session):
     assert session.next_frame().number == number + 1
 
 
+@pytest.mark.slow
 def test_a_rate_is_kept(scene):
     began_s, frames = time.monotonic(), []
     with LiveSession(scene, QUIET.changed(max_rate_hz=10.0)) as session, session.listen(frames.append, 100):
@@ -91,6 +92,7 @@ def test_a_rate_is_kept(scene):
     assert times_s[4] - times_s[0] > 0.2
 
 
+@pytest.mark.slow
 def test_the_rate_is_that_of_the_last_pings_since_somebody_listens_with_these_settings(session, monkeypatch):
     monkeypatch.setattr(live_sonar_module, "RATE_S", 0.1)
     frames = [session.frame, *(session.next_frame() for _ in range(30))]
@@ -287,6 +289,7 @@ def test_an_engine_that_cannot_be_had_leaves_the_simulators(scene):
     pool.close()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("timed_once")
 def test_terms_are_priced_where_the_sonar_is(session):
     assert [price.name for price in session.prices()] == term_names()
@@ -459,6 +462,7 @@ def test_a_listener_may_ask_the_session(session):
     assert readings[0].body in ("wall", "ball", "")
 
 
+@pytest.mark.slow
 def test_many_threads_change_and_ask_at_once(session):
     failures = []
 
@@ -538,6 +542,7 @@ def test_the_surface_of_a_bin_lies_where_its_echo_comes_from(session):
     assert ((found.normals * towards).sum(axis=1) > 0).all()
 
 
+@pytest.mark.slow
 def test_labelled_bins_have_a_surface_of_their_body(session):
     session.change(tolerance=0.001)  # coarser samples spread the ball's rim into bins beside it
     frame = session.next_frame()

@@ -87,6 +87,7 @@ def test_a_view_opens_without_read_outs_where_these_fail(pages, monkeypatch):
         assert len(pages) == 1
 
 
+@pytest.mark.slow
 def test_a_scene_of_ones_own_and_a_file_of_poses():
     Path("dive.csv").write_text(POSES)
     scene = sg.load_scene("pylon")
@@ -119,7 +120,10 @@ def test_a_folder_without_permission_is_told_before_the_page_opens(pages, monkey
     assert "error: cannot write into the folder 'new/deep': permission denied\n" in ran.output
 
 
-@pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
+@pytest.mark.parametrize(
+    "take",
+    [copy.deepcopy, *(pytest.param(one, marks=pytest.mark.slow) for one in (copy.copy, pickle.dumps))],
+)
 def test_a_view_and_its_session_refuse_to_be_copied(take):
     with sg.view("pylon", block=False, tolerance=0.2) as opened:
         for it in (opened, opened.session):
@@ -127,6 +131,7 @@ def test_a_view_and_its_session_refuse_to_be_copied(take):
                 take(it)
 
 
+@pytest.mark.slow
 def test_an_exception_of_the_callback_ends_a_blocking_view(pages):
     def on_ping(ping):
         raise KeyError("a mistake of the script")
@@ -174,6 +179,7 @@ def test_wrong_arguments_are_errors(pages, arguments, message):
     assert pages == []
 
 
+@pytest.mark.slow
 def test_the_repr_of_a_view_names_its_address():
     """What a notebook shows of it, which opens no browser by itself."""
     with sg.view("pylon", "p900-45", block=False, tolerance=0.2, port=8123) as opened:
@@ -209,6 +215,7 @@ def test_without_its_extra_view_says_how_to_add_it(monkeypatch):
         sg.view("pylon", no_setting=7)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("timed_once")
 def test_the_command_takes_the_needed_terms():
     done = run(
@@ -238,6 +245,7 @@ def test_the_command_opens_a_page_with_what_its_options_say(pages):
     assert not Path("pictures").exists()
 
 
+@pytest.mark.slow
 def test_the_command_follows_a_file_of_poses(pages):
     Path("dive.csv").write_text(POSES)
     done = run("view", "pylon", "--poses", "dive.csv", "--tolerance", "0.2")

@@ -51,6 +51,7 @@ def test_its_power_over_beams_is_the_pattern(noise):
     assert (np.abs(of_pings.mean(0) - expected) <= error + 1e-12 * LEVEL).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", NOISES, ids=IDS)
 def test_it_has_the_grain_of_other_noise_and_is_new_in_each_ping(noise):
     """Exponential, beams correlate as sinc² of their distance, and its power adds to that of other self-noise."""

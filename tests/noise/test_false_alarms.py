@@ -36,7 +36,7 @@ def theory(factor: float, correlation) -> float:
     return float(np.prod(positive / (positive - values[values < 0])))
 
 
-@pytest.mark.parametrize("designed", [1e-2, 1e-3])
+@pytest.mark.parametrize("designed", [1e-2, pytest.param(1e-3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "noise, level, pulse",
     [

@@ -124,7 +124,9 @@ def test_a_shape_is_checked_and_read_from_files(tmp_path):
 
 
 @pytest.mark.parametrize("reflectivity", [None, {"wall": 0.2}])
-@pytest.mark.parametrize("by_face, engine", [(False, "cpu"), (True, "cpu"), (True, "opengl")])
+@pytest.mark.parametrize(
+    "by_face, engine", [pytest.param(False, "cpu", marks=pytest.mark.slow), (True, "cpu"), (True, "opengl")]
+)
 def test_the_deviation_is_the_diffuse_echo_over_the_root_of_the_shape(reflectivity, by_face, engine):
     """Of a smooth wall with a texture: through pulse, cross-talk and motion, without its glint."""
     sonar = sg.Sonar("wall", 900e3, 32, 200, 60.0, 10.0, 1.0, 1.0, 9.0, bandwidth_hz=10e3)

@@ -172,7 +172,7 @@ def test_same_bytes_for_any_number_of_threads(capsys):
         ({"follow_motion": False}, 0.25, HERE, 0),
     ],
 )
-@pytest.mark.parametrize("pulse", [True, False])
+@pytest.mark.parametrize("pulse", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_second_thread_gives_the_same_bytes(amounts, spacing_deg, where, jobs, pulse):
     noise = Noise(**{"speckle": True, "follow_motion": True, "ambient_db": -60.0} | amounts)
     ping = even_ping(151, 701, spacing_deg, pose=where, pulse=pulse, bandwidth_hz=40e3)

@@ -91,6 +91,7 @@ def test_receiver_noise_is_new_in_each_ping():
     assert (first != second).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_looks_have_patterns_of_their_own():
     """The contrast of the mean of four is a half; waves that are kept must be those of the look."""
     (x,) = patterns(replace(PLACE_LOCKED, looks=4), even_ping(200, 1000, 2.0, pose=pose(0.2, 0.2)))
@@ -265,7 +266,9 @@ def test_moving_ahead_by_half_a_bin_interpolates():
     assert correlation(after, before) == pytest.approx(hamming_correlation(0.25) ** 2, abs=error)
 
 
-@pytest.mark.parametrize("moved_bins", [0.0, 0.25, 0.5, 0.8])
+@pytest.mark.parametrize(
+    "moved_bins", [0.0, 0.5, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.25, 0.8))]
+)
 @pytest.mark.parametrize(
     "bins_per_null", [1.36, *(pytest.param(n, marks=pytest.mark.slow) for n in (1.0, 2.0, 3.0))]
 )
@@ -305,7 +308,9 @@ def test_waves_have_as_many_bins_as_coarse_weights_reach_from_the_furthest_place
     assert min(n_wave_bins) >= n_bins + 2 * (0.29 * np.sqrt(2) / bin_m + reach - 1)
 
 
-@pytest.mark.parametrize("share", [0.05, 0.15, 0.25])
+@pytest.mark.parametrize(
+    "share", [0.15, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.05, 0.25))]
+)
 def test_moving_sideways_slides_the_aperture(share):
     aside = share * APERTURE_M * PORT
     before = np.array([moved(seed)[BORESIGHT] for seed in range(40)])
@@ -316,7 +321,7 @@ def test_moving_sideways_slides_the_aperture(share):
     assert found == pytest.approx((1 - 2 * share) ** 2, abs=error)
 
 
-@pytest.mark.parametrize("bins", [2, 4, 6])
+@pytest.mark.parametrize("bins", [4, *(pytest.param(one, marks=pytest.mark.slow) for one in (2, 6))])
 def test_a_step_ahead_into_the_fade_of_cells_keeps_the_share_of_its_cell(bins):
     """From 0.05 m before a border on, amplitudes fall as a quarter of a cosine; 6 bins end 2.5 cm behind it."""
     before, after = (
@@ -356,7 +361,7 @@ def test_the_pattern_is_that_of_the_wavelength_in_the_water():
     assert correlation(patterns(PLACE_LOCKED, higher), patterns(PLACE_LOCKED, ping)) < 0.5
 
 
-@pytest.mark.parametrize("n_waves", [318, 319])
+@pytest.mark.parametrize("n_waves", [pytest.param(318, marks=pytest.mark.slow), 319])
 def test_it_adds_to_the_receivers_noise_alike_over_the_seam_of_a_full_circle(n_waves):
     """The two are added as fields, so that the sign of neither may change there."""
     width_deg = np.degrees(UNIFORM_WIDTH * 2 * np.pi / n_waves)
@@ -389,7 +394,10 @@ def test_cells_of_the_sea_fade_into_each_other():
     assert correlation(steps[0], steps[-1]) < 0.1  # each cell has its own waves
 
 
-@pytest.mark.parametrize("x, y", [(0.25, 0.25), (0.75, 0.5), (1.27, 0.72)])
+@pytest.mark.parametrize(
+    "x, y",
+    [(0.75, 0.5), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((0.25, 0.25), (1.27, 0.72)))],
+)
 def test_beams_overlap_in_the_cross_fade_as_within_a_cell(x, y):
     """Two or four cells add up there, with waves of very different phases over beams."""
     found = [

@@ -234,6 +234,7 @@ def test_interference_rises_with_the_tvg():
     assert is_on.any(axis=0).sum() > 60 and not rising[~is_on].any()
 
 
+@pytest.mark.slow
 def test_interference_comes_evenly_from_the_fan_and_over_the_range():
     """A pulse that began before the first bin, or goes on after the last one, is received in part."""
     ping, noise = even_ping(64, 40, 0.5, level=0.0), Noise(interference_lines=50.0, interference_db=0.0)
@@ -262,6 +263,7 @@ def test_the_bins_of_an_interfering_pulse_last_as_long_as_the_sonar_takes_them_t
     assert np.median(found) == bins  # pulses at the ends of the range, or upon each other, are few
 
 
+@pytest.mark.slow
 def test_interference_goes_on_over_the_seam_of_a_full_circle():
     """Beams of 10 degrees, 2 degrees apart: one a spacing from the brightest one receives at least half as much."""
     ping = even_ping(180, 20, 2.0, level=0.0, beam_width_deg=10.0)

@@ -103,6 +103,7 @@ def test_scatterers_at_the_centres_of_bins_stand_for_those_at_all_ranges(bin_per
     assert (weights**4).sum() / everywhere == pytest.approx(excess, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_single_scatterer_is_the_beam_pattern():
     """So few that most pings have none: each echo has the shape of the pattern, to its 4th null, in one bin."""
     ping = ping_of_water(density_m3=0.02, n_beams=120)
@@ -124,6 +125,7 @@ def test_a_single_scatterer_is_the_beam_pattern():
             assert worst < 2e-3 * arc.max()  # places are tried in steps of an eighth of a thousandth degree
 
 
+@pytest.mark.slow
 def test_the_number_of_echoes_is_poisson_distributed_in_the_volume():
     ping = ping_of_water(density_m3=1.0)
     found = noisy(ping, pings=400).any(1).sum(1)  # bins with an echo, in which two are rare
@@ -172,6 +174,7 @@ def test_the_ends_of_a_full_circle_share_scatterers_as_neighbours_do():
     check_mean(found, 1.0)
 
 
+@pytest.mark.slow
 def test_bins_from_where_there_are_many_in_a_cell_have_a_gaussian_field():
     ping = ping_of_water(density_m3=2e4)
     series = FieldCorrelation(tuple(ping.azimuth_rad), BEAM_WIDTH_RAD)

@@ -337,6 +337,7 @@ def small_scene(hills):
 VIEWS = [sg.pose(0, 0, 0, 0, 0.1, 0), sg.pose(-3, 1, 1, 0.2, 0.1, 0.3)]
 
 
+@pytest.mark.slow
 def test_pings_without_indirect_draws_are_identical(monkeypatch, hills, opengl_engine):
     expected, calls = pings(small_scene(hills), VIEWS), []
     draw = buffers.SceneBuffers.draw
@@ -409,9 +410,11 @@ def test_a_driver_of_opengl_3_3_gives_the_same_ping(extensions, indirect, tmp_pa
 @pytest.mark.parametrize(
     ("mesh", "share"),
     [
-        (trimesh.creation.box((0.5, 0.1, 2.0)), 0.0),  # each corner is the outermost in some direction
+        pytest.param(
+            trimesh.creation.box((0.5, 0.1, 2.0)), 0.0, marks=pytest.mark.slow
+        ),  # each corner is the outermost in some direction
         (trimesh.creation.icosphere(4, 0.7), 0.08),  # 1 - cos 23°
-        (trimesh.creation.cylinder(0.1, 0.6, sections=48), 0.02),
+        pytest.param(trimesh.creation.cylinder(0.1, 0.6, sections=48), 0.02, marks=pytest.mark.slow),
     ],
 )
 def test_the_spans_of_bodies_hold_all_of_their_places(mesh, share):

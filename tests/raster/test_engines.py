@@ -170,6 +170,7 @@ def test_bundled_scenes(name):
     assert sums[0] == pytest.approx(sums[1], rel=1e-4 + on_edges)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("driver")
 @pytest.mark.parametrize("name", SCENES)
 def test_images_of_bundled_scenes(name, monkeypatch):
@@ -237,7 +238,10 @@ def differing(scene):
 
 
 @pytest.mark.usefixtures("driver")
-@pytest.mark.parametrize("spacing, off_grid", [(2, 0), (6, 0), (12, 0), (3, 1 / 256)])
+@pytest.mark.parametrize(
+    "spacing, off_grid",
+    [(2, 0), (3, 1 / 256), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((6, 0), (12, 0)))],
+)
 def test_a_sample_on_an_edge_is_of_one_face_alone(spacing, off_grid):
     """Both engines give it to the same one. The engine `cpu` gave it to the one that is nearer by rounding."""
     rng = np.random.default_rng(0)
@@ -246,6 +250,7 @@ def test_a_sample_on_an_edge_is_of_one_face_alone(spacing, off_grid):
     assert found <= 2
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("driver")
 def test_the_driver_does_not_move_edges_that_leave_the_sector():
     """It rounded where they met the sides of the viewport, which were those of the sector."""
@@ -283,7 +288,7 @@ def worlds():
     yield "both", [both, ball("b", sg.pose(7, 2)), floor()], SONAR, np.eye(4)
 
 
-SLOW_WORLDS = "rolled", "full circle", "away", "hills"
+SLOW_WORLDS = "rolled", "full circle", "away", "hills", "wide", "smooth", "patchy"
 
 
 @pytest.mark.usefixtures("driver")
@@ -304,7 +309,12 @@ def test_hard_cases(monkeypatch, bodies, sonar, pose):
 @pytest.mark.usefixtures("driver")
 @pytest.mark.parametrize("engine", ["cpu", "opengl"])
 @pytest.mark.parametrize(
-    "exponent", [-100, 66, *(pytest.param(e, marks=pytest.mark.slow) for e in (-40, -10, 20))]
+    "exponent",
+    [
+        -100,
+        pytest.param(66, marks=pytest.mark.slow),
+        *(pytest.param(e, marks=pytest.mark.slow) for e in (-40, -10, 20)),
+    ],
 )
 def test_the_length_of_normals_changes_nothing(engine, exponent):
     """Powers of two round nothing. Normals shorter than 1e-3 counted as none, and long ones returned no echo."""
@@ -493,6 +503,7 @@ def test_room_for_triangles_follows_what_is_drawn():
     np.testing.assert_array_equal(images[3], expected)
 
 
+@pytest.mark.slow
 def test_a_row_that_a_level_edge_leaves_out_stays_empty_however_far_another_edge_lies():
     """Here the diver's scene has a face with a corner behind the sonar, one edge along the rows and one nearly so.
 

@@ -351,6 +351,7 @@ def test_a_floor_and_a_wall_are_not_folded():
     assert np.abs(area_vectors(bent, fewer)).sum(axis=0) == pytest.approx([0.5, 0, 0.5], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_compiled_functions_do_not_sort():
     """Numba caches parts of np.sort and np.argsort under names that collide with those of another process."""
     package, n_compiled = Path(sg.__file__).parent, 0

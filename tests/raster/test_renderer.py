@@ -377,6 +377,7 @@ def test_too_many_samples_for_the_driver():
     assert str(caught.value).endswith("ask for a larger tolerance or fewer samples)")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["depth_renderbuffer", "framebuffer"])
 @pytest.mark.parametrize("is_first", [True, False])
 def test_an_interrupt_while_a_larger_target_is_made_leaves_later_pings_right(monkeypatch, part, is_first):

@@ -63,8 +63,10 @@ def test_an_infinite_plane_is_where_it_is(engine, sonar):
 
 
 @pytest.mark.usefixtures("driver")
-@pytest.mark.parametrize("profile", ["ideal", "physical"])
-@pytest.mark.parametrize("sonar", [SONAR, AROUND], ids=["ahead", "around"])
+@pytest.mark.parametrize("profile", [pytest.param("ideal", marks=pytest.mark.slow), "physical"])
+@pytest.mark.parametrize(
+    "sonar", [SONAR, pytest.param(AROUND, marks=pytest.mark.slow)], ids=["ahead", "around"]
+)
 def test_images_of_infinite_planes(sonar, profile, monkeypatch):
     """They differed by up to 1.5e-3 of the echo."""
     monkeypatch.setattr(range_bins, "piece_limits", lambda *_: (0.0, 0.0))  # the engine cpu alone knows faces
@@ -93,6 +95,7 @@ def pose_of(rotation):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("driver")
 def test_a_long_sheet_ends_where_it_does():
     """3 km long and 30 m wide, turned about: its sides are in view, and one of its ends."""

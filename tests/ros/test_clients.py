@@ -258,6 +258,7 @@ def test_an_oculus_that_is_not_there_is_told(tmp_path, monkeypatch, capsys):
     assert err == (f"error: an Oculus must answer at 127.0.0.1:{port} (got [Errno 111] Connection refused)\n")
 
 
+@pytest.mark.slow
 def test_the_lines_of_the_page_turn_the_head_of_a_ping360(scene):
     pytest.importorskip("brping")
     port = str(free_port())

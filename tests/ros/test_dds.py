@@ -276,6 +276,7 @@ def test_whole_pings_arrive_at_another_vendor_byte_for_byte(open_transport, name
     ]
 
 
+@pytest.mark.slow
 def test_poses_of_another_vendor_arrive_as_sent(open_transport, name, vendor, tmp_path):
     sent = [header_bytes(number, "x" * number) for number in range(50)]
     path, arrived = tmp_path / "messages", []
@@ -485,6 +486,7 @@ def test_a_reader_that_is_killed_and_returns_receives_again(open_transport, doma
                 peer.send_signal(signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_a_transport_that_disappears_and_returns_is_found_again(open_transport, domain, name):
     topic = topic_of(name)
     with cyclone_reader(domain, name, topic.msgtype, 1000) as peer:

@@ -126,6 +126,7 @@ def test_each_fault_is_counted(connect, deliver, lost, damaged, disordered):
     assert found.message_bytes == len(ping_message()[1])
 
 
+@pytest.mark.slow
 def test_a_slow_transport_makes_messages_late_not_a_burst(connect):
     def deliver(number, message):
         time.sleep(0.05)  # five periods
@@ -147,6 +148,7 @@ def test_the_pings_of_a_publisher_arrive(connect):
     assert found.message_bytes > 256 * 100  # a ping of 256 beams, not a probe
 
 
+@pytest.mark.slow
 def test_what_came_of_it_is_printed(connect, monkeypatch, capsys):
     connect(lambda number, message: [] if number == AT else [broken(message) if number == 0 else message])
     monkeypatch.setattr(

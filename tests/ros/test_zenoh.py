@@ -368,6 +368,7 @@ def test_a_reader_that_raises_does_not_end_the_messages(peer, router, transports
     assert len(caplog.records) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_random_messages_and_attachments_stall_nothing(peer, router, transports, count):
     poses, images, rng = topic_of("/odom", "nav_msgs/msg/Odometry"), image_topic(), random.Random(1)

@@ -73,6 +73,7 @@ def test_bodies_stand_on_the_floor_or_hang_from_the_surface(scene):
             assert z.min() <= -9, body.name
 
 
+@pytest.mark.slow
 def test_all_bodies_in_the_fan_are_seen(scene, ping):
     seen = {scene.bodies[number - 1].name for number in np.unique(ping.body_id) if number}
     assert seen == set(BODIES) - ASIDE

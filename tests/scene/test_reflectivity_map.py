@@ -84,7 +84,7 @@ def test_the_image_repeats_beyond_its_edges():
     np.testing.assert_allclose(mu, image[row, column], rtol=1e-14)
 
 
-@pytest.mark.parametrize("seam", [False, True])
+@pytest.mark.parametrize("seam", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_no_cracks(seam):
     """A closed mesh stays closed, also with duplicate vertices, as along the seams of an atlas."""
     ball = trimesh.creation.icosphere(1)
@@ -108,6 +108,7 @@ def test_no_cracks(seam):
     assert (smooth * outward).sum(axis=1).min() > 0.99
 
 
+@pytest.mark.slow
 def test_raster_against_rays():
     """A textured floor and sphere: the ping agrees with the ray-cast reference."""
     floor = sg.textured_body(

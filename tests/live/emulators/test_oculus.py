@@ -314,6 +314,7 @@ def test_another_gain_needs_no_other_simulator(connection, monkeypatch):
         result_of(connection, fire_bytes(gamma=gamma, gain=gain, flags=METRES | SIMPLE | flags))
 
 
+@pytest.mark.slow
 def test_standby_stops_and_another_fire_message_goes_on(connection):
     result_of(connection, fire_bytes())
     connection.sendall(fire_bytes(rate=5))
@@ -332,6 +333,7 @@ def test_standby_stops_and_another_fire_message_goes_on(connection):
     result_of(connection, fire_bytes(range_m=4.0))
 
 
+@pytest.mark.slow
 def test_two_programs_see_the_same_pings(connection, server):
     with socket.create_connection(("127.0.0.1", server.port), WAIT_S) as other:
         result_of(connection, fire_bytes(range_m=5.0))
@@ -646,6 +648,7 @@ def test_noise_on_the_network_neither_stops_nor_stalls_the_device(server, connec
     assert time.monotonic() - start < WAIT_S
 
 
+@pytest.mark.slow
 def test_programs_beyond_the_limit_are_disconnected_and_others_go_on(monkeypatch, caplog):
     """Each program may leave 16 MB unsent: without a limit a neighbour takes all memory."""
     monkeypatch.setattr(oculus, "MAX_PROGRAMS", 3)
