@@ -26,7 +26,7 @@ from sonar_gl.batch import job_scenes, outputs, parts
 from sonar_gl.batch import survey as survey_module
 from sonar_gl.batch.cluster import Cluster
 from sonar_gl.batch.folder import Folder
-from sonar_gl.batch.job import LOCATION_KEYS, Job, read_job
+from sonar_gl.batch.job import LOCATION_KEYS, Job, MovedTable, read_job
 from sonar_gl.batch.job_warnings import (
     device_warnings,
     hull_warnings,
@@ -38,11 +38,13 @@ from sonar_gl.batch.manifest import Manifest, check, default_pings_per_part
 from sonar_gl.batch.parts import Batch
 from sonar_gl.batch.ping_table import PingTable
 from sonar_gl.batch.pool import IN_PROGRESS
+from sonar_gl.batch.random_streams import VARY_STREAM, generator
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import Schema, round_mantissa
 from sonar_gl.batch.steps import begin, create_store, finalize, make_part
 from sonar_gl.batch.survey import survey, try_pings
 from sonar_gl.batch.trajectories import SectorScan
+from sonar_gl.batch.variation import MovedBodies, draw_fields
 from sonar_gl.core.toml_tables import Table
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine import pipeline, sequence
@@ -65,6 +67,7 @@ from tests.support.batches import (
 )
 from tests.support.command_line import BODY, WALL, run
 from tests.support.inline_pool import use_inline_pool
+from tests.support.wall_and_rods import wall
 
 N = 10
 
@@ -354,6 +357,7 @@ def test_parts_that_a_table_leaves_behind_are_warned_of(tmp_path):
     ]
     (text,) = texts({"names": ["pylon_round", "diver*"], "one_of": True})
     assert "scenes[0], 'pylon': vary.bodies[0] moves 'pylon_round' without pylon_round::column (" in text
+    assert len(texts({"names": ["diver"], "rests_on": "floor"})) == 1
     rest = {"names": ["diver::*"]}
     for silent in (
         [diver | {"names": ["diver*"]}],
@@ -381,6 +385,7 @@ def test_each_of_many_scenes_is_read_once_before_the_first_ping(tmp_path, monkey
     batch = Batch(requests, Folder(tmp_path / "out"))
     assert [*requests.scenes.files] == [*names, "small.toml"] and batch.schema.first_body == [0, 3, 6, 9]
     assert loaded == names
+    assert len(requests.scenes[0].bodies) == 3 and loaded == [*names, names[0]]  # all would not fit in memory
 
 
 def test_rates_are_checked_block_by_block(requests, monkeypatch):
@@ -389,7 +394,12 @@ def test_rates_are_checked_block_by_block(requests, monkeypatch):
     poses = [requests.job.poses[0] | {"ping_rate_hz": 100.0}]
     quick = BatchRequests(requests.job.model_copy(update={"poses": poses}))
     sizes, time_s = [], SectorScan.time_s
-    monkeypatch.setattr(SectorScan, "time_s", lambda self, n: sizes.append(np.size(n)) or time_s(self, n))
+
+    def noted(self, n):  # the first two pings at once, which have no rate
+        sizes.append(np.size(n))
+        return np.maximum(time_s(self, n), 0.01)
+
+    monkeypatch.setattr(SectorScan, "time_s", noted)
     assert [text.split(": ", 2)[2] for text in device_warnings(quick)] == [
         f"poses[0]: sonar 'level' makes {by_sound_hz(requests):.4g} pings a second at most "
         "(got 100; its range, its ping_rate_max_hz, or the times)"
@@ -500,6 +510,7 @@ def test_what_moves_apart_moves_as_whole_models(tmp_path):
         assert sum(pose is not None for parts in found.values() for pose, _ in parts) == 2 * len(there)
         for (head, mu), (tail, tail_mu) in there:
             np.testing.assert_allclose(head @ sg.pose(-0.3), tail, atol=1e-12)
+            assert head[1, 3] == pytest.approx(1.0, abs=1e-12)  # both turn about the first
             assert mu == tail_mu
         assert len({parts[0][1] for parts in there}) == len(there)
     by_part = [parts for found in models("*::head", "*::tail") for parts in found.values()]
@@ -584,6 +595,25 @@ def test_what_is_drawn_holds_for_consecutive_pings_of_a_path(tmp_path):
     ]
     assert drawn(hold_pings=1)[1] == each
     assert drawn(hold_pings=100)[1] == [each[max(s for s in starts if s <= n)] for n in range(30)]
+
+
+def test_a_body_takes_along_what_is_named_after_it():
+    """As those of MuJoCo, which are bodies in bodies, and no models."""
+    names = ["fish", "fish::tail", "crab"]
+    scene = sg.Scene([replace(wall(), name=name) for name in names])
+    table = MovedTable(names=["*"], apart=True, x_m=[0.0, 1.0])
+    poses, _ = MovedBodies(scene, [table], seed=0).draw(0, generator(0, VARY_STREAM, 0))
+    fish, tail, crab = (poses[name][0, 3] for name in names)
+    assert fish == tail != crab
+
+
+def test_draws_depend_neither_on_constants_nor_on_the_order_of_keys():
+    def drawn(table):
+        return draw_fields(generator(0, VARY_STREAM, 0), table)
+
+    expected = drawn({"salinity_psu": [30.0, 35.0], "temperature_c": [5.0, 20.0]})
+    assert drawn({"temperature_c": [5.0, 20.0], "salinity_psu": [30.0, 35.0]}) == expected
+    assert drawn({"salinity_psu": 30.0, "temperature_c": [5.0, 20.0]}) == expected | {"salinity_psu": 30.0}
 
 
 def test_bodies_shift_along_the_axes_of_the_world_and_turn_about_their_own(tmp_path):
@@ -973,6 +1003,16 @@ def test_a_sonar_inside_a_body_is_reported_whatever_process_makes_its_pings(tmp_
         begins = f"warning: {sonar} in tank.sdf: ping 0: the sonar at (2, 0, 0) m is inside body 'box_1', or"
         assert text.startswith(begins)
     assert warnings_of_parts(path, tmp_path / "out", [1], one_by_one) == set()
+
+
+def test_a_sonar_inside_a_body_is_reported_of_the_first_ping_in_each_scene(tmp_path):
+    path = write_enclosed_job(tmp_path)
+    (tmp_path / "other.sdf").write_text((tmp_path / "tank.sdf").read_text())
+    requests = BatchRequests(read_job(path).model_copy(update={"scenes": ["tank.sdf", "other.sdf"]}))
+    begins = [f"warning: {sonar} in other.sdf: ping 8: the sonar at" for sonar in requests.sonars]
+    assert [
+        text[: len(begin)] for text, begin in zip(place_warnings(requests, 1), begins, strict=True)
+    ] == begins
 
 
 @pytest.mark.parametrize(
