@@ -321,6 +321,14 @@ def test_moving_sideways_slides_the_aperture(share):
     assert found == pytest.approx((1 - 2 * share) ** 2, abs=error)
 
 
+def test_waves_come_into_the_aperture_gradually():
+    """Steps of a twentieth of a wave all change the pattern alike; a wave at once would be a jump."""
+    step = APERTURE_M / 158 / 20 * PORT  # 79 waves, which slide by twice the way of the sonar
+    steps = [moved(0, *(k * step))[BORESIGHT] for k in range(40)]
+    changes = [np.abs(after - before).mean() for before, after in pairwise(steps)]
+    assert max(changes) < 1.1 * np.median(changes)
+
+
 @pytest.mark.parametrize("bins", [4, *(pytest.param(one, marks=pytest.mark.slow) for one in (2, 6))])
 def test_a_step_ahead_into_the_fade_of_cells_keeps_the_share_of_its_cell(bins):
     """From 0.05 m before a border on, amplitudes fall as a quarter of a cosine; 6 bins end 2.5 cm behind it."""
