@@ -1286,6 +1286,14 @@ class TestPlan:
                 warnings.simplefilter("error")
                 simulator.ping(sg.pose(2.5))
 
+    def test_an_unreachable_tolerance_is_warned_of_again_once_it_was_met(self, monkeypatch):
+        monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)
+        wall, rods = sg.pose(), sg.pose(yaw=math.pi)
+        with collected_warnings(ToleranceWarning) as found, sg.Simulator(WALL_AND_RODS, SONAR, IDEAL) as it:
+            for pose in (rods, rods, wall, rods):
+                it.ping(pose)
+        assert len(found) == 2
+
     def test_an_estimate_just_above_the_tolerance_reads_so(self, monkeypatch):
         """It read "tolerance 0.02 cannot be met: the estimate is 0.02"."""
         monkeypatch.setattr("sonar_gl.engine.level_search.FINEST_LEVEL", 6)
