@@ -201,13 +201,18 @@ def test_sequences_are_the_pings_of_single_calls_to_the_bit(labels):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", ["ping", "pings"])
-def test_samples_get_coarser_where_more_do_not_fit(monkeypatch, way):
-    """A ball fills more and more of a window of samples as the sonar comes near."""
+@pytest.mark.parametrize(("way", "engine"), [("ping", "cpu"), ("pings", "cpu"), ("pings", "opengl")])
+def test_samples_get_coarser_where_more_do_not_fit(monkeypatch, way, engine):
+    """A ball fills more and more of a window of samples as the sonar comes near.
+
+    Of a sequence, threads find that there are too many, or by OpenGL the caller, who draws.
+    """
+    monkeypatch.setattr("sonar_gl.engine.sequence.FEW_SAMPLES", 0)  # else the caller makes them all
+    monkeypatch.setattr("sonar_gl.engine.sequence.n_threads", lambda: 2)
     rows = []
     for most in (MAX_CHOSEN_SAMPLES, 2000):
         monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", most)
-        with sg.Simulator(BALL, SONAR, IDEAL, tolerance=TOLERANCE, engine="cpu") as simulator:
+        with sg.Simulator(BALL, SONAR, IDEAL, tolerance=TOLERANCE, engine=engine) as simulator:
             pings = simulator.pings(APPROACH) if way == "pings" else map(simulator.ping, APPROACH)
             rows.append([ping.meta["sampling"]["rows"] for ping in pings])
     assert any(few < many for many, few in zip(*rows, strict=True))

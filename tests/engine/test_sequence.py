@@ -328,6 +328,17 @@ def test_an_error_in_the_poses_is_raised_in_order(good, way):
         np.testing.assert_array_equal(it.ping(POSES[2]).intensity, expected[2])
 
 
+def test_an_interrupt_in_the_poses_is_raised_at_once(it):
+    """A caller that stops at one of the pings before would never get it."""
+
+    def poses():
+        yield from POSES[:2]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        next(it.pings(poses()))
+
+
 def test_the_simulator_is_not_locked_between_pings_of_a_sequence():
     """A single ping between those of a sequence does not block; a lock held over a yield would."""
     with simulator(None, ASIDE, tolerance=0.05) as it:
@@ -823,6 +834,19 @@ def test_pings_that_nobody_took_change_no_later_one():
     with sg.Simulator(round_about(), SONAR, sg.Acoustics.ideal(), tolerance=0.05, engine="cpu") as it:
         *_, one, other = [it.ping(pose) for pose in (*FAR_AND_NEAR[:2], *FAR_AND_NEAR[3:5])]
     check_all_same(found, (one, other))
+
+
+@pytest.mark.parametrize("is_closed", [False, True])
+def test_pings_made_ahead_leave_the_samples_of_one_made_since(is_closed):
+    """Whether they come out, or never will: the next single ping follows the last single one."""
+    with sg.Simulator(round_about(), SONAR, sg.Acoustics.ideal(), tolerance=0.05, engine="cpu") as it:
+        pings = it.pings(FAR_AND_NEAR[:3])
+        next(pings), next(pings)
+        it.ping(FAR_AND_NEAR[-1])
+        sampler = it.run.sampler
+        history, choice = sampler.history, sampler.choice
+        pings.close() if is_closed else next(pings)
+        assert sampler.history is history and sampler.choice is choice
 
 
 def test_a_body_that_another_simulator_adds_waits_for_the_pings_that_are_being_made(monkeypatch):
