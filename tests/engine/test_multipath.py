@@ -284,6 +284,13 @@ def test_multipath_agrees_with_ray_casting(perfect, name):
     assert np.abs(straight - truth).sum() > 0.1 * truth.sum()
 
 
+def test_what_lies_behind_a_reflector_has_no_echo_by_way_of_it(perfect):
+    """A ball and the end of a wall, behind the plane of its face. The wall's end mirrors the ball's back alone."""
+    perfect("wall")
+    scene = sg.Scene([slab("wall", sg.pose(16, 1.5, 0, np.pi / 2), 8.0), ball(9, 1.44, 0, 0.15)])
+    assert not multipath_echo(scene, sg.pose())[:, SONAR.range_m < 14].any()
+
+
 @pytest.mark.slow
 def test_multipath_has_the_two_way_beam_pattern(perfect):
     scene, pose, reflectors = SCENES["floor, rolled and pitched"]
