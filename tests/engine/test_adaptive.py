@@ -607,6 +607,9 @@ class TestMoving:
                 for yaw in (0.6, 0.61, 0.62):
                     simulator.ping(sg.pose(yaw=yaw))
             assert [one.text for one in found] == [ECHO_LOST] and not explained
+            simulator.run.silent_pings.start_again()  # as before each frame of a page
+            with pytest.warns(NoEchoWarning, match="far"):
+                simulator.ping(sg.pose(yaw=0.62))
             with pytest.warns(NoEchoWarning, match="far"):
                 simulator.ping(sg.pose(yaw=3.0))  # far from the last one
             simulator.plan([away])
