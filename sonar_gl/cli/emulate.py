@@ -18,10 +18,10 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.hosts import check_host, is_local
 from sonar_gl.core.key_values import parse_fields
 from sonar_gl.core.load_numba import load_numba
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.live.emulators.oculus import DATA_PORT, MODELS, STATUS_PORT, OculusHead, OculusServer
 from sonar_gl.live.emulators.ping360 import PORT, Ping360Head, Ping360Server
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
-from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.noise.settings import Noise
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, Counts
 from sonar_gl.sonar.sonar import Sonar

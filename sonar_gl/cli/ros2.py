@@ -22,7 +22,7 @@ from sonar_gl.cli.ros2_file import OPTIONS, Ros2File, read_ros2_file
 from sonar_gl.core.checks import shown
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.load_numba import load_numba
-from sonar_gl.live.pose_track import PoseTrack
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ros.publisher import Publisher
 from sonar_gl.ros.publisher_settings import TOPICS, PoseSource, PublisherSettings

@@ -20,8 +20,8 @@ from sonar_gl.cli.common import (
 )
 from sonar_gl.cli.output import echo
 from sonar_gl.core.load_numba import load_numba
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.live.command_line import SceneSource
-from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.page import load_viser

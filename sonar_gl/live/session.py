@@ -19,6 +19,7 @@ from sonar_gl.analysis.terms import Price, price
 from sonar_gl.core.checks import check_function, check_kind, check_whole_number
 from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.listeners import Listener
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.body_poses import BodyPoses
 from sonar_gl.live.command_line import SceneSource
@@ -28,7 +29,6 @@ from sonar_gl.live.live_sonar import FrameRequest, LiveSonar
 from sonar_gl.live.output import DEFAULT_FOLDER, LiveOutput
 from sonar_gl.live.pictures import pixel_cells, pixels_of
 from sonar_gl.live.ping_thread import PingThread
-from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.readings import body_number, check_bin, reading_of
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.settings_trial import SettingsTrial

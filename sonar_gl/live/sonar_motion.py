@@ -9,8 +9,8 @@ import numpy as np
 
 from sonar_gl.core.checks import check_number
 from sonar_gl.core.errors import Error
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.poses import check_pose
-from sonar_gl.live.pose_track import PoseTrack
 
 
 class TimedPose(NamedTuple):

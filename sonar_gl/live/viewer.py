@@ -13,11 +13,11 @@ from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.hosts import is_local
 from sonar_gl.core.listeners import Listener
 from sonar_gl.core.load_numba import load_numba
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.poses import read_poses
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.live.command_line import SceneSource
 from sonar_gl.live.output import DEFAULT_FOLDER
-from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.page import ViewerPage, load_viser

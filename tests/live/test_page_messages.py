@@ -14,9 +14,9 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis import terms as terms_module
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.live import live_sonar as live_sonar_module
 from sonar_gl.live import recording as recording_module
-from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view import page as page_module

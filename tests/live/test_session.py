@@ -10,13 +10,13 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.engine.no_echo import MOST_IN_A_ROW
 from sonar_gl.imaging.styles import FanStyle
 from sonar_gl.live import live_sonar as live_sonar_module
 from sonar_gl.live import ping_thread as ping_thread_module
 from sonar_gl.live import simulators as simulators_module
 from sonar_gl.live.pictures import pixel_cells
-from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings, term_names
 from sonar_gl.live.simulators import MAX_SIMULATORS, SimulatorPool

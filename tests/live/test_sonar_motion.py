@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.live import sonar_motion as sonar_motion_module
-from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.sonar_motion import Playback, SonarMotion
 
 TRACK = PoseTrack([sg.pose(0), sg.pose(2, yaw=0.4)], [10.0, 14.0])

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.engine import pipeline
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
-from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.ros import Publisher, PublisherSettings

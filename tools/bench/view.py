@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 
 import sonar_gl as sg
-from sonar_gl.live.pose_track import PoseTrack
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.live.session import LiveSession
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.page import ViewerPage

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.no_echo import NoEchoWarning
-from sonar_gl.live.pose_track import PoseTrack
 from sonar_gl.live.simulators import SimulatorPool
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping

@@ -18,6 +18,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.live import simulators
 from sonar_gl.live.emulators import oculus
 from sonar_gl.live.emulators.oculus import MODELS, OculusHead, OculusServer
@@ -28,7 +29,6 @@ from sonar_gl.live.emulators.oculus_messages import (
     status_message,
 )
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
-from sonar_gl.live.pose_track import PoseTrack
 from tests.support.fan_ping import fan_ping
 from tests.support.servers import running, simulated
 from tests.support.waiting import WAIT_S, wait_until

@@ -16,6 +16,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error, MachineError
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.live.emulators.ping360 import FIRST_SETTINGS, Ping360Head, Ping360Server
 from sonar_gl.live.emulators.ping360_messages import (
     AUTO_PAYLOAD,
@@ -27,7 +28,6 @@ from sonar_gl.live.emulators.ping360_messages import (
     parse_scan,
 )
 from sonar_gl.live.emulators.simulated_head import SimulatedHead
-from sonar_gl.live.pose_track import PoseTrack
 from tests.support.servers import running, simulated
 from tests.support.waiting import WAIT_S
 

@@ -1,10 +1,10 @@
-"""The pose of a sonar between the poses of a file."""
+"""Poses between those of a file."""
 
 import numpy as np
 import pytest
 
+from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.poses import pose
-from sonar_gl.live.pose_track import PoseTrack
 
 
 def test_sonar_moves_and_turns_evenly():

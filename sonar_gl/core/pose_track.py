@@ -1,4 +1,4 @@
-"""The pose of the sonar at any time, from poses at some times."""
+"""The pose of a sonar or a body at any time, from poses at some times."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from trimesh.transformations import quaternion_from_matrix, quaternion_matrix, q
 
 
 class PoseTrack:
-    """Poses over time: between two of them position and attitude change evenly; before and after all, it stands.
+    """Poses over time: between two of them position and attitude change evenly; before and after all, they stay.
 
     Parameters
     ----------
-    poses : (4, 4) world_from_sonar, at least one
-    times_s : (N,) seconds, which do not fall; None for a sonar that stands at the first pose
+    poses : (4, 4) world_from_x, at least one
+    times_s : (N,) seconds, which do not fall; None for what stands at the first pose
 
     >>> from sonar_gl.core.poses import pose
     >>> float(PoseTrack([pose(0), pose(2, yaw=1.0)], [0.0, 4.0]).at(1.0)[0, 3])
@@ -31,7 +31,7 @@ class PoseTrack:
         return float(self._times_s[-1] - self._times_s[0])
 
     def at(self, time_s: float) -> np.ndarray:
-        """Return world_from_sonar, (4, 4) float64, at a time in seconds since the first pose."""
+        """Return world_from_x, (4, 4) float64, at a time in seconds since the first pose."""
         times_s = self._times_s - self._times_s[0]
         after = int(np.searchsorted(times_s, time_s, side="right"))
         if after == 0 or after == len(times_s):
