@@ -92,6 +92,12 @@ VariedRadians = Annotated[
     Any, BeforeValidator(partial(_check_varied, low=-6.283, high=6.283)), Field(description=RADIANS)
 ]
 CountsChanges = Annotated[dict, BeforeValidator(_check_counts)]
+# one name alone is a list of one
+PathFiles = Annotated[
+    list[str],
+    BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
+    Field(min_length=1, description="name a CSV file of poses, or several in a list"),
+]
 # ---- tables -----------------------------------------------------------------------------------------
 
 
@@ -123,6 +129,7 @@ class MovedTable(Table):
     one_of : one of these bodies or models at a time is there, each as often; the others are absent
     rests_on : name of the floor on which the bodies rest, `z_m` above it, however they turn
     clearance_m : least distance, from above, to other bodies of tables that state one; redrawn until it holds
+    path : files of poses over time, one of which the bodies follow in each trajectory run; None: they stay in place
     x_m, y_m, z_m : shifts in the world
     roll_rad, pitch_rad, yaw_rad : rotations about the body's own axes
     there : probability that the bodies are present
@@ -134,6 +141,7 @@ class MovedTable(Table):
     one_of: bool = None  # not False, which would change the digest of jobs without it
     rests_on: Annotated[str, Field(description="name a body, such as the floor")] = None
     clearance_m: Annotated[float, Field(ge=0, description=METRES)] = None
+    path: PathFiles = None
     x_m: VariedMetres = 0.0
     y_m: VariedMetres = 0.0
     z_m: VariedMetres = 0.0
@@ -148,6 +156,14 @@ class MovedTable(Table):
         if self.apart and self.one_of:
             raise ValueError(
                 "apart and one_of exclude each other (got both; leave apart out: one alone moves)"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_path(self):
+        if self.path is not None and self.clearance_m is not None:
+            raise ValueError(
+                "path and clearance_m exclude each other (got both; leave clearance_m out: a path is not drawn again)"
             )
         return self
 
@@ -338,10 +354,11 @@ class Job(Table):
         return Path(self.folder, os.path.expanduser(name))
 
     def files(self) -> list[Path]:
-        """Return the scene, sonar and pose files that the job names."""
+        """Return the files that the job names: of scenes, sonars, poses, and paths of bodies."""
         scenes = [split_arguments(name)[0] for name in self.scenes]
         names = [*scenes, *(split_sonar(table.sonar)[0] for table in self.sonars)]
         names += [name for table in self.poses if isinstance(name := table.get("file"), str)]
+        names += [name for table in self.vary.bodies for name in table.path or []]
         return [path for name in names if name and (path := self.path(name)).is_file()]
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.batch.body_paths import BodyPath
 from sonar_gl.batch.job import Job, check_patterns
 from sonar_gl.batch.job_settings import can_only_be_file
 from sonar_gl.batch.variation import MovedBodies, check_floors
@@ -52,6 +53,11 @@ class JobScenes(Sequence):
     Only the last KEPT ones are in memory: a further use of another one reads it again. The first time, they are read
     and checked in the order of the job.
 
+    Parameters
+    ----------
+    job : Job
+    paths : of each table `vary.bodies`
+
     Raises
     ------
     Error
@@ -59,8 +65,8 @@ class JobScenes(Sequence):
         read, if the job names what no scene has, or leaves nothing of a scene.
     """
 
-    def __init__(self, job: Job):
-        self._job = job
+    def __init__(self, job: Job, paths: list[list[BodyPath]]):
+        self._job, self._paths = job, paths
         self._contents: list[SceneContents] = []  # of the scenes that have been read
         self._names_in_files, self._files = {}, {}  # ordered sets
         self._hash = hashlib.sha256()
@@ -111,7 +117,7 @@ class JobScenes(Sequence):
     def _add(self, index: int, scene: Scene) -> None:
         while len(self._kept) >= KEPT:
             self._kept.pop(next(iter(self._kept)))
-        self._kept[index] = _Kept(scene, MovedBodies(scene, self._job.vary.bodies, self._job.seed))
+        self._kept[index] = _Kept(scene, MovedBodies(scene, self._job, self._paths))
 
     def _read_to(self, stop: int) -> None:
         """Read and check the scenes before this one that have not been read yet."""

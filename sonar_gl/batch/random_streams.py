@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 # never renumber: the bytes of data sets would change
-VARY_STREAM, NOISE_STREAM, VIEWS_STREAM, CLEARANCE_STREAM = 101, 102, 103, 104
+VARY_STREAM, NOISE_STREAM, VIEWS_STREAM, CLEARANCE_STREAM, PATH_STREAM = 101, 102, 103, 104, 105
 
 
 def generator(seed: int, *stream: int) -> np.random.Generator:

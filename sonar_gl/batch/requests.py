@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sonar_gl.acoustics.water import Water
+from sonar_gl.batch.body_paths import load_body_paths
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.job_scenes import JobScenes
 from sonar_gl.batch.job_settings import load_settings
@@ -96,7 +97,7 @@ class BatchRequests(Sequence):
         check_varied_fields(job, self.acoustics, self.noise)
         self.runs = runs_of(job, self.trajectories)
         self._starts = [run.numbers.start for run in self.runs]
-        self.scenes = JobScenes(job)
+        self.scenes = JobScenes(job, load_body_paths(job, self.trajectories))
 
     def __len__(self) -> int:
         return self.runs[-1].numbers.stop
@@ -111,9 +112,11 @@ class BatchRequests(Sequence):
         random = generator(self.job.seed, VARY_STREAM, drawn)
         # the order of these draws decides the bytes of data sets
         water, noise = draw_fields(random, vary.water), draw_fields(random, vary.noise)
-        bodies, reflectivity = (
-            self.scenes.moved_bodies(run.scene).draw(drawn, random) if vary.bodies else ({}, {})
-        )
+        bodies, reflectivity = {}, {}
+        if vary.bodies:
+            moved = self.scenes.moved_bodies(run.scene)
+            on_path_s = run.time_on_trajectory_s(number)
+            bodies, reflectivity = moved.draw(drawn, random, run.numbers.start, on_path_s)
         return BatchRequest(
             number,
             run.scene,

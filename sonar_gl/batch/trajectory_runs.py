@@ -39,6 +39,10 @@ class TrajectoryRun:
         time_s, pose = self.trajectory[number - self.numbers.start]
         return time_s + self.delay_s, pose
 
+    def time_on_trajectory_s(self, number: int) -> float:
+        """Return the time of a ping as its trajectory counts it."""
+        return float(self.trajectory.time_s(number - self.numbers.start))
+
 
 def load_trajectories(job: Job) -> list[Trajectory]:
     """Return the trajectory of each table of poses; an Error names file, table and key of what is wrong in one."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, fields
+from typing import NamedTuple
 
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import Water
+from sonar_gl.batch.body_paths import BodyPath
 from sonar_gl.batch.job import Job, MovedTable, build
-from sonar_gl.batch.random_streams import CLEARANCE_STREAM, generator
+from sonar_gl.batch.random_streams import CLEARANCE_STREAM, PATH_STREAM, generator
 from sonar_gl.core.checks import check_choice
 from sonar_gl.core.errors import Error, nearest_of_many
 from sonar_gl.core.names import matching_names
@@ -95,56 +97,95 @@ class MovedBodies:
     Parameters
     ----------
     scene : Scene
-    tables : those of the job
-    seed : that of the job
+    job : Job
+    paths : of each table
 
     Attributes
     ----------
     known : name -> body or plume of the scene, also those that no table names
     """
 
-    def __init__(self, scene: Scene, tables: list[MovedTable], seed: int):
+    def __init__(self, scene: Scene, job: Job, paths: list[list[BodyPath]]):
         self.known = {entry.name: entry for entry in scene.bodies_and_plumes}
-        self._seed = seed
-        self._tables = [(table, _groups(table, [*self.known], scene.models)) for table in tables]
+        self._seed, self._models = job.seed, scene.models
+        self._tables = [
+            (table, of_table, _groups(table, [*self.known], scene.models))
+            for table, of_table in zip(job.vary.bodies, paths, strict=True)
+        ]
 
-    def draw(self, number: int, random: np.random.Generator) -> tuple[dict, dict]:
+    def draw(
+        self, number: int, random: np.random.Generator, run_start: int, time_s: float
+    ) -> tuple[dict, dict]:
         """Draw the changes of a ping.
 
         Parameters
         ----------
         number : of the ping
         random : the generator of its draws
+        run_start : number of the first ping of its run, for which tables with a path draw
+        time_s : its time on the trajectory, and on paths; later than that of `number` where draws hold
 
         Returns
         -------
         bodies, reflectivity : as in `PingRequest`
         """
         bodies, reflectivity, taken = {}, {}, {}  # taken: what keeps clear of each other
-        for k, (table, groups) in enumerate(self._tables):
-            chosen = draw_whole(random, [0, len(groups) - 1]) if table.one_of and groups else None
+        for k, (table, paths, groups) in enumerate(self._tables):
+            source = generator(self._seed, PATH_STREAM, run_start, k) if paths else random
+            chosen = draw_whole(source, [0, len(groups) - 1]) if table.one_of and groups else None
             for n, group in enumerate(groups):
-                draws = _draw_move(random, table)
-                is_present = random.random() < table.there and chosen in (None, n)
-                mu = None if table.reflectivity is None else draw_value(random, table.reflectivity)
+                draws = _draw_move(source, table)
+                is_present = source.random() < table.there and chosen in (None, n)
+                mu = None if table.reflectivity is None else draw_value(source, table.reflectivity)
+                path = paths[draw_whole(source, [0, len(paths) - 1])] if paths else None
                 for name in group:  # of two tables the later one counts, also where it changes nothing
                     for found in (bodies, reflectivity, taken):
                         found.pop(name, None)
                 if not group:
                     continue
+                home = self.known[group[0]].pose if path is None else self._home(group)
+                place = home if path is None else path.at(time_s)
+                is_present = is_present and place is not None
+                move = _Move(group, home, place)
                 if is_present and table.clearance_m is not None:
                     # a stream of its own: no other draw depends on how many these are
                     more = generator(self._seed, CLEARANCE_STREAM, number, k, n)
-                    draws = _clear_draws(self.known, group, table, draws, more, taken)
+                    draws = _clear_draws(self.known, move, table, draws, more, taken)
                     is_present = draws is not None
                 if not is_present:
                     bodies |= dict.fromkeys(group)
                     continue
-                if draws.any() or mu is not None or table.rests_on is not None:
-                    bodies |= _moved_poses(self.known, group, table, draws, bodies)
+                if draws.any() or mu is not None or table.rests_on is not None or path is not None:
+                    bodies |= _moved_poses(self.known, move, table, draws, bodies)
                 if mu is not None:
                     reflectivity |= {name: mu for name in group if hasattr(self.known[name], "reflectivity")}
         return bodies, reflectivity
+
+    def _home(self, group: list[str]) -> np.ndarray:
+        """Return the pose in the scene of what follows a path: of the model if several parts of one do, else of a body.
+
+        It is that of the innermost model that has them all, or of the first body if none has.
+        """
+        first, *others = group
+        for whole in reversed(names_of_wholes(first)) if others else ():
+            if whole in self._models and all(name.startswith(f"{whole}::") for name in others):
+                return self._models[whole]
+        return self.known[first].pose
+
+
+class _Move(NamedTuple):
+    """A move of bodies that keeps them as they are to each other.
+
+    Attributes
+    ----------
+    names : of the bodies
+    home, place : (4, 4) pose of what they are in or about, in the scene and in this ping before shift and turn; the
+        same if they follow no path
+    """
+
+    names: list[str]
+    home: np.ndarray
+    place: np.ndarray
 
 
 def _groups(table: MovedTable, known: list[str], models: Iterable[str]) -> list[list[str]]:
@@ -175,9 +216,9 @@ def names_of_wholes(name: str) -> list[str]:
     return ["::".join(parts[:n]) for n in range(1, len(parts))]
 
 
-def _moved_poses(known: dict, group: list[str], table: MovedTable, draws: np.ndarray, placed: dict) -> dict:
+def _moved_poses(known: dict, move: _Move, table: MovedTable, draws: np.ndarray, placed: dict) -> dict:
     """Return the poses of bodies that move together, given their draws and the poses of tables before."""
-    poses = _drawn_poses(known, group, draws)
+    poses = _drawn_poses(known, move, draws)
     if table.rests_on is not None:
         floor, place = known[table.rests_on], placed.get(table.rests_on)
         of_bodies = [(known[name], pose) for name, pose in poses.items() if isinstance(known[name], Body)]
@@ -188,17 +229,16 @@ def _moved_poses(known: dict, group: list[str], table: MovedTable, draws: np.nda
     return poses
 
 
-def _drawn_poses(known: dict, group: list[str], draws: np.ndarray) -> dict:
+def _drawn_poses(known: dict, move: _Move, draws: np.ndarray) -> dict:
     """Return the poses of bodies that move together, wherever the floor is."""
     shift, turn = np.split(draws, 2)
-    pivot = known[group[0]].pose
-    move = pivot @ make_pose(0, 0, 0, *turn) @ np.linalg.inv(pivot)
-    move[:3, 3] += shift
-    return {name: move @ known[name].pose for name in group}
+    moved = move.place @ make_pose(0, 0, 0, *turn) @ np.linalg.inv(move.home)
+    moved[:3, 3] += shift
+    return {name: moved @ known[name].pose for name in move.names}
 
 
 def _clear_draws(
-    known: dict, group: list[str], table: MovedTable, draws: np.ndarray, random, taken: dict
+    known: dict, move: _Move, table: MovedTable, draws: np.ndarray, random, taken: dict
 ) -> np.ndarray | None:
     """Return draws that keep bodies clear of those that are taken: further ones until they do, None if none does.
 
@@ -210,7 +250,7 @@ def _clear_draws(
     for _ in range(CLEARANCE_TRIES):
         sides = {
             name: body_bounds(known[name], pose)[:, :2]
-            for name, pose in _drawn_poses(known, group, draws).items()
+            for name, pose in _drawn_poses(known, move, draws).items()
             if isinstance(known[name], Body)
         }
         if all(

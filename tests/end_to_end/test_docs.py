@@ -338,13 +338,23 @@ SETS = "pylons", "validation"
 
 @pytest.mark.slow
 def test_the_page_of_batches_runs(folder):
-    job, rig, elsewhere = (block.values[0] for block in blocks("toml", [BATCHES]))
+    job, rig, elsewhere, swim = (block.values[0] for block in blocks("toml", [BATCHES]))
+    Path("swim.toml").write_text(swim)
+    (path,) = blocks("csv", [BATCHES])
+    Path("swim.csv").write_text(path.values[0])
     Path("pylons.toml").write_text(re.sub(r"n_pings = \d+", "n_pings = 9", job))
     Path("validation.toml").write_text(Path("pylons.toml").read_text().replace("seed = 1", "seed = 2"))
     before = set(os.listdir())
     told = [p.values[0] for p in shell_lines() if p.values[0][:2] == ["sonar-gl", "batch"]]
     told = list(dict.fromkeys(map(tuple, told)))  # README has some of them, too
-    assert [words[-1] for words in told] == ["--dry-run", "pylons", "--resume", "pylons", "validation"]
+    assert [words[-1] for words in told] == [
+        "--dry-run",
+        "pylons",
+        "--resume",
+        "pylons",
+        "swim",
+        "validation",
+    ]
     for words in told:
         result = run(*words[1:])
         assert result.exit_code == 0, result.output
@@ -388,6 +398,11 @@ def test_the_page_of_batches_runs(folder):
     assert sets[0].attrs["noise_seed"] != sets[1].attrs["noise_seed"] and not sets[0].pose.equals(
         sets[1].pose
     )
+    swimming = COCO("swim/coco/p900_45/instances.json")
+    places = [one["bbox"][0] for one in swimming.anns.values()]
+    assert (
+        25 < len(places) < 40 and places[0] > places[len(places) // 2] > places[-1]
+    )  # to port, which is left
     joined, ones = COCO("joined.json"), [COCO(f"{name}/coco/p900_45/instances.json") for name in SETS]
     assert len(joined.imgs) == 18 and len(joined.anns) == sum(len(one.anns) for one in ones)
     for image in joined.imgs.values():

@@ -1,0 +1,74 @@
+"""Paths of bodies: their poses over time, from files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from sonar_gl.batch.job import Job
+from sonar_gl.batch.trajectories import Trajectory
+from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.core.input_files import check_kind_of_file
+from sonar_gl.core.pose_track import PoseTrack
+from sonar_gl.core.poses import read_poses
+
+ROUNDED_S = 1e-6  # times of pings are computed, those of a path are decimals of a file
+
+
+class BodyPath:
+    """The poses of a CSV file as a path, which begins and ends with them.
+
+    Parameters
+    ----------
+    file : as for `sonar_gl.core.poses.read_poses`
+
+    Attributes
+    ----------
+    begin_s, end_s : its first and last time
+
+    Raises
+    ------
+    Error
+        if the file cannot be read; names file, line and column.
+    """
+
+    def __init__(self, file: Path):
+        check_kind_of_file(file)  # no pipe: each process of a batch reads the file
+        times_s, poses = read_poses(file)
+        self.begin_s, self.end_s = float(times_s[0]), float(times_s[-1])
+        self._track = PoseTrack(poses, times_s)
+
+    def at(self, time_s: float) -> np.ndarray | None:
+        """Return the (4, 4) pose at a time; None before the path begins and after it has ended."""
+        if not self.begin_s - ROUNDED_S <= time_s <= self.end_s + ROUNDED_S:
+            return None
+        return self._track.at(time_s - self.begin_s)
+
+
+def load_body_paths(job: Job, trajectories: Sequence[Trajectory]) -> list[list[BodyPath]]:
+    """Return the paths of each table `vary.bodies`; none of a table without `path`.
+
+    Raises Error if a file cannot be read, or is of other times than all pings.
+    """
+    return [
+        [
+            _load_path(job, name, f"{job.where}: vary.bodies[{k}].path", trajectories)
+            for name in table.path or []
+        ]
+        for k, table in enumerate(job.vary.bodies)
+    ]
+
+
+def _load_path(job: Job, name: str, where: str, trajectories: Sequence[Trajectory]) -> BodyPath:
+    with errors_at(where):
+        path = BodyPath(job.path(name))
+    spans_s = [(trajectory[0][0], trajectory[len(trajectory) - 1][0]) for trajectory in trajectories]
+    if all(end_s < path.begin_s or path.end_s < begin_s for begin_s, end_s in spans_s):
+        begin_s, end_s = spans_s[0]
+        raise Error(
+            f"{where} must hold times of pings, which each table of poses counts by itself (got {name!r} from "
+            f"{path.begin_s:.10g} to {path.end_s:.10g} s; poses[0] is from {begin_s:.10g} to {end_s:.10g} s)"
+        )
+    return path
