@@ -14,8 +14,6 @@ from sonar_gl.core.input_files import check_kind_of_file
 from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.poses import read_poses
 
-ROUNDED_S = 1e-6  # times of pings are computed, those of a path are decimals of a file
-
 
 class BodyPath:
     """The poses of a CSV file as a path, which begins and ends with them.
@@ -42,7 +40,7 @@ class BodyPath:
 
     def at(self, time_s: float) -> np.ndarray | None:
         """Return the (4, 4) pose at a time; None before the path begins and after it has ended."""
-        if not self.begin_s - ROUNDED_S <= time_s <= self.end_s + ROUNDED_S:
+        if not self.begin_s <= time_s <= self.end_s:
             return None
         return self._track.at(time_s - self.begin_s)
 
