@@ -119,7 +119,7 @@ class LevelSearch:
                 continue
             if judged.steps <= 0 or level == finest:
                 return ChosenView(tried, judged.plan)
-            fewest = LEAST_FINER * tried.stage.sampling.count(self._stages.sonar)
+            fewest = LEAST_FINER * self._count(level)
             level += min(judged.steps, MOST_STEPS_ALONE)
             while level < finest and self._count(level) < fewest:
                 level += 1

@@ -602,7 +602,8 @@ def test_a_body_takes_along_what_is_named_after_it():
     names = ["fish", "fish::tail", "crab"]
     scene = sg.Scene([replace(wall(), name=name) for name in names])
     table = MovedTable(names=["*"], apart=True, x_m=[0.0, 1.0])
-    poses, _ = MovedBodies(scene, [table], seed=0).draw(0, generator(0, VARY_STREAM, 0))
+    job = SimpleNamespace(seed=0, vary=SimpleNamespace(bodies=[table]))
+    poses, _ = MovedBodies(scene, job, paths=[[]]).draw(0, generator(0, VARY_STREAM, 0), 0, 0.0)
     fish, tail, crab = (poses[name][0, 3] for name in names)
     assert fish == tail != crab
 

@@ -264,6 +264,7 @@ def test_pings_of_a_batch_are_those_of_a_simulator_with_these_bodies(job):
     assert [one["image_id"] for one in annotated if one["body"] == "box_1"] == list(range(2, 8))
 
 
+@pytest.mark.slow  # processes of their own, as other jobs of test_batch have
 def test_bytes_do_not_depend_on_processes_and_a_changed_path_is_not_resumed(job, tmp_path):
     write_plain_job(tmp_path, 10, 4, FOLLOWING.replace('"swim.csv"', '["swim.csv", "still.csv"]'))
     make_all(job, tmp_path / "one")

@@ -44,6 +44,9 @@ class Model:
         plan = Plan(sg.Sampling(1, 8), level, 0.01 * (ping + 1), 0.1 / (ping + 1), ping, missing <= 0, level)
         return Judgement(plan, int(rough))
 
+    def sampling_at(self, level):
+        return SimpleNamespace(count=lambda sonar: 2 ** (level / 2))
+
     def stage_at(self, level):
         def draw(poses, states, with_bodies):
             self.draw(states[0], level)
