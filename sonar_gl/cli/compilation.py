@@ -240,12 +240,12 @@ def _labelled_ping() -> Ping:
 
 
 def _scene() -> Scene:
-    """Return a scene with a floor, flat and smooth bodies, a reflectivity per face, small triangles, a hidden
-    body and bubbles."""
+    """Return a scene with a floor, flat and smooth bodies, a reflectivity per face, small triangles, a
+    texture, a hidden body and bubbles."""
     box, ball = trimesh.creation.box((0.5, 0.5, 0.5)), trimesh.creation.icosphere(4, 0.4)
     return Scene(
         [
-            Body("floor", trimesh.creation.box((40.0, 40.0, 1.0)), pose(z=-2.5), "rock"),
+            Body("floor", trimesh.creation.box((40.0, 40.0, 1.0)), pose(z=-2.5), "rock", speckle_shape=2.0),
             Body("box", box, pose(4.0, 0.5, -1.4), np.linspace(0.1, 1.0, len(box.faces))),
             Body(
                 "ball", ball, pose(5.0, -0.6, -1.5), 0.5, ball.vertex_normals, specular=0.3, roughness_rad=0.1
