@@ -16,9 +16,7 @@ MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing the
 GLINT_REACH = 4.0  # times the rms slope: beyond, a specular lobe has 10⁻⁴ of its echo
 MAX_FLAT_FACES = 12  # directions of a body whose faces are flat: it is a glint as a whole, or not at all
 NO_GLINT = 1e-26  # of the greatest lobe: a sample with less returns nothing
-LEAST_ROUND = (
-    0.2  # of a sphere's normals in one direction; a cylinder, and no floor, has more in two directions
-)
+LEAST_ROUND = 0.2  # of a sphere's normals in one direction: cylinders, and no floors, have more in two
 MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
 
 

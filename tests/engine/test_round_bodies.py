@@ -6,7 +6,10 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
+from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.engine.body_extents import is_round
+from sonar_gl.engine.difference import wrong_share
+from sonar_gl.sonar.sampling import ERROR_RATE
 
 SONAR = sg.Sonar("small", 900e3, 64, 200, 45.0, 20.0, 1.0, 0.5, 12.0)
 PHYSICAL = sg.Acoustics.physical(pulse=False, specular=False)
@@ -31,6 +34,20 @@ def test_a_wavy_floor_is_not_round():
     corner = (np.arange(29)[:, None] * 30 + np.arange(29)).ravel()
     faces = np.concatenate([corner[:, None] + [0, 1, 31], corner[:, None] + [0, 31, 30]])
     assert not is_round(trimesh.Trimesh(points, faces, process=False))
+
+
+@pytest.mark.parametrize("coarser", [1.4, 2.0, 4.0])
+def test_the_difference_of_errors_that_are_alike_shows_them(coarser):
+    truth, error = np.random.default_rng(0).random((2, 8, 50))
+
+    def echo(share):
+        intensity = (truth + share * error).astype(np.float32)
+        return BeamEcho(intensity, float(intensity.sum()))
+
+    fine, coarse = echo(0.01), echo(0.01 * coarser ** (ERROR_RATE / 2))
+    expected = 0.01 * error.sum() / fine.total
+    # of numbers near 1 in float32, whose differences are about 0.01
+    assert wrong_share(fine, coarse, coarser, alike=1.0) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.slow
