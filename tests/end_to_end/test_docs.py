@@ -337,9 +337,12 @@ SETS = "pylons", "validation"
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)  # a minute on a quiet machine
 def test_the_page_of_batches_runs(folder):
     job, rig, elsewhere, swim = (block.values[0] for block in blocks("toml", [BATCHES]))
-    Path("swim.toml").write_text(swim)
+    assert swim.count("n_pings = 60\n") == swim.count("ping_rate_hz = 5.0\n") == 1
+    fewer = swim.replace("n_pings = 60", "n_pings = 12").replace("ping_rate_hz = 5.0", "ping_rate_hz = 1.0")
+    Path("swim.toml").write_text(fewer)
     (path,) = blocks("csv", [BATCHES])
     Path("swim.csv").write_text(path.values[0])
     Path("pylons.toml").write_text(re.sub(r"n_pings = \d+", "n_pings = 9", job))
@@ -400,9 +403,7 @@ def test_the_page_of_batches_runs(folder):
     )
     swimming = COCO("swim/coco/p900_45/instances.json")
     places = [one["bbox"][0] for one in swimming.anns.values()]
-    assert (
-        40 < len(places) < 50 and places[0] > places[len(places) // 2] > places[-1]
-    )  # to port, which is left
+    assert 7 < len(places) < 11 and places == sorted(places, reverse=True)  # to port, which is left
     joined, ones = COCO("joined.json"), [COCO(f"{name}/coco/p900_45/instances.json") for name in SETS]
     assert len(joined.imgs) == 18 and len(joined.anns) == sum(len(one.anns) for one in ones)
     for image in joined.imgs.values():
