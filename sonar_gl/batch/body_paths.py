@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -29,13 +30,18 @@ class BodyPath:
     Raises
     ------
     Error
-        if the file cannot be read; names file, line and column.
+        if the file cannot be read, or is of one time alone; names file, line and column.
     """
 
     def __init__(self, file: Path):
         check_kind_of_file(file)  # no pipe: each process of a batch reads the file
         times_s, poses = read_poses(file)
         self.begin_s, self.end_s = float(times_s[0]), float(times_s[-1])
+        if self.begin_s == self.end_s:
+            raise Error(
+                f"{file}: must hold poses at two times or more (got one, {self.begin_s:.10g} s; for a body that stays "
+                "give its pose at another time, too)"
+            )
         self._track = PoseTrack(poses, times_s)
 
     def at(self, time_s: float) -> np.ndarray | None:
@@ -62,11 +68,17 @@ def load_body_paths(job: Job, trajectories: Sequence[Trajectory]) -> list[list[B
 def _load_path(job: Job, name: str, where: str, trajectories: Sequence[Trajectory]) -> BodyPath:
     with errors_at(where):
         path = BodyPath(job.path(name))
-    spans_s = [(trajectory[0][0], trajectory[len(trajectory) - 1][0]) for trajectory in trajectories]
-    if all(end_s < path.begin_s or path.end_s < begin_s for begin_s, end_s in spans_s):
-        begin_s, end_s = spans_s[0]
+    if not any(_has_ping(trajectory, path) for trajectory in trajectories):
+        begin_s, end_s = (trajectories[0].time_s(number) for number in (0, len(trajectories[0]) - 1))
         raise Error(
             f"{where} must hold times of pings, which each table of poses counts by itself (got {name!r} from "
-            f"{path.begin_s:.10g} to {path.end_s:.10g} s; poses[0] is from {begin_s:.10g} to {end_s:.10g} s)"
+            f"{path.begin_s:.10g} to {path.end_s:.10g} s, and no ping there; poses[0] is from {begin_s:.10g} to "
+            f"{end_s:.10g} s)"
         )
     return path
+
+
+def _has_ping(trajectory: Trajectory, path: BodyPath) -> bool:
+    """Return whether a ping of a trajectory, whose times do not fall, is at a time of a path."""
+    first = bisect_left(range(len(trajectory)), path.begin_s, key=trajectory.time_s)
+    return first < len(trajectory) and trajectory.time_s(first) <= path.end_s

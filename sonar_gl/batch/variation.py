@@ -143,7 +143,7 @@ class MovedBodies:
                         found.pop(name, None)
                 if not group:
                     continue
-                home = self.known[group[0]].pose if path is None else self._home(group)
+                home = self.known[group[0]].pose if path is None else self._home(table, group)
                 place = home if path is None else path.at(time_s)
                 is_present = is_present and place is not None
                 move = _Move(group, home, place)
@@ -161,14 +161,17 @@ class MovedBodies:
                     reflectivity |= {name: mu for name in group if hasattr(self.known[name], "reflectivity")}
         return bodies, reflectivity
 
-    def _home(self, group: list[str]) -> np.ndarray:
+    def _home(self, table: MovedTable, group: list[str]) -> np.ndarray:
         """Return the pose in the scene of what follows a path: of the model if several parts of one do, else of a body.
 
-        It is that of the innermost model that has them all, or of the first body if none has.
+        It is that of the innermost model that has them all, or of the first body if none has. Of a model whose parts
+        are named as a whole, one may be left in the scene.
         """
         first, *others = group
-        for whole in reversed(names_of_wholes(first)) if others else ():
-            if whole in self._models and all(name.startswith(f"{whole}::") for name in others):
+        together = not (table.apart or table.one_of)
+        for whole in reversed(names_of_wholes(first)):
+            is_whole = others or (together and f"{whole}::*" in table.names)
+            if is_whole and whole in self._models and all(name.startswith(f"{whole}::") for name in others):
                 return self._models[whole]
         return self.known[first].pose
 

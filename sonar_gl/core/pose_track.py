@@ -23,16 +23,17 @@ class PoseTrack:
 
     def __init__(self, poses: Sequence[np.ndarray], times_s: Sequence[float] | None = None):
         self._poses = [np.asarray(one, np.float64) for one in poses]
-        self._times_s = np.zeros(1) if times_s is None else np.asarray(times_s, np.float64)
+        times_s = np.zeros(1) if times_s is None else np.asarray(times_s, np.float64)
+        self._times_s = times_s - times_s[0]  # since the first pose
 
     @property
     def duration_s(self) -> float:
         """Seconds from the first pose to the last."""
-        return float(self._times_s[-1] - self._times_s[0])
+        return float(self._times_s[-1])
 
     def at(self, time_s: float) -> np.ndarray:
         """Return world_from_x, (4, 4) float64, at a time in seconds since the first pose."""
-        times_s = self._times_s - self._times_s[0]
+        times_s = self._times_s
         after = int(np.searchsorted(times_s, time_s, side="right"))
         if after == 0 or after == len(times_s):
             return self._poses[min(after, len(times_s) - 1)].copy()

@@ -189,6 +189,10 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
         raise Error(
             f"{path}: the file of poses must be text in UTF-8 (got {got}; save it as UTF-8)"
         ) from None
+    except Error:
+        raise
+    except ValueError as why:  # a null character in its name
+        raise Error(f"{path}: the file of poses must be readable ({why})") from None
     if not blocks:
         raise Error(f"{path}: must hold at least one pose, under the header {','.join(COLUMNS)} (got none)")
     count = sum(map(len, blocks))

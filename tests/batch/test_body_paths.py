@@ -56,6 +56,12 @@ def test_a_body_is_where_its_path_is_at_the_time_of_each_ping(job):
     assert [request.bodies["box_1"] is None for request in requests] == [True] * 2 + [False] * 6 + [True] * 2
     held = requests_of(job, vary={"bodies": [table], "hold_pings": 4})
     assert_follows(held, times_s, job.parent / "swim.csv")
+    views = {"kind": "random_views", "target_m": [3.0, 0.0, 0.0], "range_m": [2.0, 3.0], "n_pings": 8}
+    for rate_hz in (1.0, 4.0):  # 1 by default
+        of_views = requests_of(
+            job, table, poses=[views | ({"ping_rate_hz": rate_hz} if rate_hz != 1.0 else {})]
+        )
+        assert_follows(of_views, np.arange(8) / rate_hz, job.parent / "swim.csv")
     # what other tables draw is what they draw without it
     wall = {"names": ["wall"], "x_m": [-1.0, 0.0], "reflectivity": [0.2, 0.9]}
     for alone, beside in zip(requests_of(job, wall), requests_of(job, table, wall), strict=True):
@@ -170,6 +176,12 @@ def test_a_model_follows_a_path_as_a_whole(job, first):
         np.testing.assert_allclose(requests[0].bodies[name], whole @ in_model, atol=1e-12)
     alone = requests_of(job, {"names": ["vessel::mast"], "path": "still.csv"})[0].bodies
     np.testing.assert_allclose(alone["vessel::mast"], whole, atol=1e-12)
+    # a part that is left out of the scene does not shift the others
+    rest = requests_of(job, {"names": ["vessel::*"], "path": "still.csv"}, without=["vessel::mast"])[0].bodies
+    np.testing.assert_allclose(rest["vessel::hull"], whole @ parts["vessel::hull"], atol=1e-12)
+    one_of = {"names": ["vessel::*"], "path": "still.csv", "one_of": True}
+    (shown,) = [pose for pose in requests_of(job, one_of)[0].bodies.values() if pose is not None]
+    np.testing.assert_allclose(shown, whole, atol=1e-12)
     # of bodies of no common model it is that of the first in the scene
     both = requests_of(job, {"names": ["vessel::*", "box_1"], "path": "still.csv"})[0].bodies
     np.testing.assert_allclose(both[f"vessel::{first}"], whole, atol=1e-12)
@@ -293,13 +305,26 @@ def test_a_dry_run_counts_pings_in_which_a_body_swims_over_the_sonar(job, tmp_pa
 BAD = [
     ("swim.csv", "swam.csv", "vary.bodies[0].path: {folder}/swam.csv: the file of poses must be readable ("),
     ("0.1,0.2,1.6", "0.1,0.2", "vary.bodies[0].path: {folder}/swim.csv: line 3: must have 7 cells"),
+    ('path = "swim.csv"', 'path = "a\\u0000b"', "vary.bodies[0].path: {folder}/a\\x00b: the file of poses must be"),
     ("1.0,3.2", "0.1,3.2", "vary.bodies[0].path: {folder}/swim.csv: line 3, column t: times must not fall (got 0.1 s"),
     ("0,0,1.2", "0,0,90", "vary.bodies[0].path: {folder}/swim.csv: line 2: pose angles must be radians"),
     (
         SWIM,
         HEADER + "100,3,0,0,0,0,0\n130,3,0,0,0,0,0\n",
         "vary.bodies[0].path must hold times of pings, which each table of poses counts by itself (got 'swim.csv' from "
-        "100 to 130 s; poses[0] is from 0 to 1.8 s)\n",
+        "100 to 130 s, and no ping there; poses[0] is from 0 to 1.8 s)\n",
+    ),
+    (  # between two pings
+        SWIM,
+        HEADER + "0.25,3,0,0,0,0,0\n0.35,3,0,0,0,0,0\n",
+        "vary.bodies[0].path must hold times of pings, which each table of poses counts by itself (got 'swim.csv' from "
+        "0.25 to 0.35 s, and no ping there; poses[0] is from 0 to 1.8 s)\n",
+    ),
+    (
+        SWIM,
+        HEADER + "0.4,3,0,0,0,0,0\n",
+        "vary.bodies[0].path: {folder}/swim.csv: must hold poses at two times or more (got one, 0.4 s; for a body that "
+        "stays give its pose at another time, too)\n",
     ),
     (
         'path = "swim.csv"',

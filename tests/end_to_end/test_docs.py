@@ -438,6 +438,10 @@ def test_the_page_of_batches_runs(folder):
 
 VARIED = '[[vary.bodies]]\nnames = ["box_1"]\nx_m = [-0.5, 0.5]\n'
 VARIED_ONE = VARIED.replace('"box_1"', '"box_1", "wall"') + "one_of = true\n"
+ON_PATH = (
+    '[[vary.bodies]]\nnames = ["box_1"]\npath = "swim.csv"\ny_m = [-0.5, 0.5]\nreflectivity = [0.2, 0.9]\n'
+)
+SWIM = "t,x,y,z,roll,pitch,yaw\n0.1,3,-0.3,-0.1,0,0,1.2\n1.0,3.4,0.3,-0.1,0.1,0.2,1.6\n"
 VARIED_MEDIA = (
     "[vary.water]\ntemperature_c = [2.0, 20.0]\n[vary.noise]\nambient_db = [-80.0, -60.0]\nlooks = [2, 4]\n"
 )
@@ -456,10 +460,13 @@ VARIED_MEDIA = (
         pytest.param(VARIED_ONE, True, ["pool.sdf", "tank.sdf"], id="one of two"),
         # in the first scene, too, bodies of these names move
         pytest.param(VARIED, True, ["pool.sdf", "tank.sdf"], id="scenes"),
+        # the path begins anew in the second scene, whose pings are later
+        pytest.param(ON_PATH, True, ["pool.sdf", "tank.sdf"], id="path"),
     ],
 )
 def test_the_block_that_makes_a_ping_again_is_for_any_job(folder, vary, has_labels, scenes):
     job = write_plain_job(folder, 4, 4, vary + LABELS * has_labels)
+    Path("swim.csv").write_text(SWIM)
     Path("pool.sdf").write_text(Path("tank.sdf").read_text().replace('"tank"', '"pool"'))
     job.write_text(job.read_text().replace('["tank.sdf"]', json.dumps(scenes)))
     make_all(job, folder / "pylons")
@@ -472,6 +479,9 @@ def test_the_block_that_makes_a_ping_again_is_for_any_job(folder, vary, has_labe
     assert names["n"] == number and names["scene_number"] == len(scenes) - 1
     assert names["again"].intensity.sum() == pytest.approx(float(names["pings"].echo[number]), rel=1e-6)
     assert ("body_id" in names) == has_labels
+    if vary == ON_PATH:
+        assert list(names["state"]["reflectivity"]) == ["box_1"]
+        np.testing.assert_allclose(names["state"]["bodies"]["box_1"][0, 3], 3 + 0.4 * 0.5 / 0.9, atol=1e-12)
 
 
 @pytest.mark.parametrize(
