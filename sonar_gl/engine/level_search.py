@@ -120,10 +120,10 @@ class LevelSearch:
             if judged.steps <= 0 or level == finest:
                 return ChosenView(tried, judged.plan)
             fewest = LEAST_FINER * self._count(level)
-            level += min(judged.steps, MOST_STEPS_ALONE)
+            level = min(level + min(judged.steps, MOST_STEPS_ALONE), finest)
             while level < finest and self._count(level) < fewest:
                 level += 1
-            before = tried if self._count(min(level, finest)) >= fewest else None
+            before = tried if self._count(level) >= fewest else None
 
     def _count(self, level: int) -> float:
         return self.model.sampling_at(level).count(self._stages.sonar)

@@ -108,7 +108,10 @@ def test_each_further_try_is_compared_with_the_one_before(monkeypatch):
 
 @pytest.mark.parametrize(("sonar", "level"), [("imagenex-deltat", 10), ("p900-45", 3), ("didson-hf", 2)])
 def test_each_further_try_has_more_samples(sonar, level, monkeypatch):
-    """Columns of whole fractions of a beam let some levels have the same samples, which differ by nothing."""
+    """Columns of whole fractions of a beam let some levels have the same samples, which differ by nothing.
+
+    Where no finer level is left, the last try is compared with a coarser view, as the first one is.
+    """
     preset, counts = sg.load_sonar(sonar), []
 
     def judge(model, setup, level, tried, before=None):
@@ -118,10 +121,15 @@ def test_each_further_try_has_more_samples(sonar, level, monkeypatch):
 
     monkeypatch.setattr(ErrorModel, "judge", judge)
     monkeypatch.setattr(level_search, "level_of", lambda sonar, n_samples: level)
-    monkeypatch.setattr(level_search, "FINEST_LEVEL", level + 5)
     with sg.Simulator(ONE_BALL, preset, tolerance=0.5) as simulator:
-        make_ping(simulator.run, PingRequest(np.eye(4), alone=True))
-    assert len(counts) > 2 and all(more > 1.25 * fewer for fewer, more in counts[1:])
+        search = simulator.run.sampler.search
+        for search.finest in (level + 5, level + 1):
+            counts.clear()
+            make_ping(simulator.run, PingRequest(np.eye(4), alone=True))
+            if search.finest > level + 1:
+                assert len(counts) > 2 and all(more > 1.25 * fewer for fewer, more in counts[1:])
+    (first,), (last,) = counts
+    assert first == last
 
 
 def test_further_views_are_drawn_with_the_one_that_is_tried(monkeypatch):
