@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind, is_iterable, is_whole_number
+from sonar_gl.core.checks import check_kind, is_iterable, is_whole_number, shown
 from sonar_gl.core.errors import Error
+from sonar_gl.core.warn import warn_caller
 from sonar_gl.embed.camera import Camera
 from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY
 from sonar_gl.sonar.sonar import Sonar
@@ -17,6 +19,9 @@ DEPTH_KINDS = "planar", "range"
 # Of z-buffers: what most of their pixels hold at least, of what is further off than ten times their near plane. Sonars
 # with shorter ranges may have all surfaces within a metre.
 FAR_DEPTH, MOST, MANY_M = 0.9, 0.95, 5.0
+# Of normals in other axes than those of the camera: planes are taken from pixels this far to each side, so that noise
+# of the depths turns them little, and at up to so many rows and columns.
+OTHER_AXES_RAD, PLANE_PIXELS, LEAST_NORMALS, GRID = math.radians(45.0), 4, 100, 100
 NO_NORMALS, NO_BODIES = np.empty((0, 0, 0), np.float32), np.empty((0, 0), np.uint16)
 
 
@@ -70,7 +75,8 @@ def _one_per_camera(name: str, value, n: int, several: bool) -> list:
         return [value] * n
     if not isinstance(value, (list, tuple)) or len(value) != n:
         got = f"{len(value)} of them" if isinstance(value, (list, tuple)) else type(value).__name__
-        raise Error(f"{name} must be a list of as many images as there are cameras, {n} (got {got})")
+        cure = "; or give the camera alone, without a list" if n == 1 else ""
+        raise Error(f"{name} must be a list of as many images as there are cameras, {n} (got {got}{cure})")
     return list(value)
 
 
@@ -79,6 +85,9 @@ def _check_image(camera: Camera, depth, normals, body_id, reflectivity) -> Depth
     depth = _check_array("depth", depth, shape)
     if not np.issubdtype(depth.dtype, np.floating):
         raise Error(f"depth must be metres in floating point (got {depth.dtype}; divide millimetres by 1000)")
+    if depth.dtype == np.float16:
+        # the same words for all images: Python shows them once
+        warn_caller("depth in float16 is rounded, by up to 4 mm from 8 m on (hand over float32)")
     if normals is not None:
         normals = _check_array("normals", normals, (*shape, 3))
         if not np.issubdtype(normals.dtype, np.floating):
@@ -144,7 +153,10 @@ def _check_reflectivity(value) -> np.ndarray:
     try:
         out = np.asarray(value, np.float32)
     except (TypeError, ValueError):
-        raise Error(f"reflectivity must be a number in 0..1 (got {value!r})") from None
+        names = [one for one in np.ravel(np.asarray(value, object)).tolist() if isinstance(one, str)]
+        cure = f"; sonar_gl.scene.materials.material({names[0]!r}).reflectivity is that of a material"
+        got = f"{names[0]!r}{cure}" if names else shown(value)
+        raise Error(f"reflectivity must be a number in 0..1 (got {got})") from None
     if not ((out >= 0) & (out <= 1)).all():  # NaN too
         raise Error(
             f"reflectivity must lie in 0..1 (got {out.min():g} to {out.max():g}; divide 8-bit images by 255)"
@@ -178,6 +190,47 @@ def z_buffer_suspicion(images, sonar: Sonar) -> str | None:
     if depth.max() == 1 or (sonar.range_max_m >= MANY_M and (is_ordinary or is_reversed)):
         return "depth lies in 0..1, as a z-buffer does (embed.metres_ahead makes metres of that)"
     return None
+
+
+def normals_suspicion(cameras, images, planar: bool) -> str | None:
+    """Return a warning if half of the normals are far off the surfaces that the depths show, or None."""
+    pairs = zip(cameras, images, strict=True)
+    cosines = [_cosines(camera, image, planar) for camera, image in pairs if image.normals.size]
+    cosines = np.concatenate(cosines) if cosines else np.empty(0)
+    if len(cosines) < LEAST_NORMALS or np.median(cosines) > math.cos(OTHER_AXES_RAD):
+        return None
+    return (
+        "normals do not fit the depths: half of them are more than 45° off the surfaces that the depths show (give "
+        "them in the camera's optical axes, x right, y down, z ahead, of textures in the view's axes)"
+    )
+
+
+def _cosines(camera: Camera, image: DepthImage, planar: bool) -> np.ndarray:
+    """Return |cos| of the angles between normals and the planes of depths, of a grid of pixels where both are known."""
+    k, K = PLANE_PIXELS, camera.intrinsics
+    rows, columns = (np.arange(k, n - k, 1 + n // GRID) for n in (camera.height, camera.width))
+    j, i = (axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij"))
+    K_inverse = np.linalg.inv(K)
+
+    def rays(j, i):
+        return np.stack([i, j, np.ones(len(i))], axis=-1) @ K_inverse.T
+
+    def inverse(j, i):
+        depth = image.depth[j, i].astype(np.float64)
+        is_surface = (depth > 0) & (depth < np.inf)
+        return np.where(is_surface, 1.0 if planar else np.linalg.norm(rays(j, i), axis=-1), np.nan) / depth
+
+    with np.errstate(all="ignore"):
+        # 1/Z of the plane p . x = 1 is p . K^-1 (i, j, 1)
+        across = (inverse(j, i + k) - inverse(j, i - k)) / (2 * k)
+        down = (inverse(j + k, i) - inverse(j - k, i)) / (2 * k)
+        x, y = K[0, 0] * across, K[0, 1] * across + K[1, 1] * down
+        u, v, _ = rays(j, i).T
+        planes = np.stack([x, y, inverse(j, i) - x * u - y * v], axis=-1)
+        normals = image.normals[j, i].astype(np.float64)
+        lengths = np.linalg.norm(planes, axis=-1) * np.linalg.norm(normals, axis=-1)
+        cosines = np.abs((planes * normals).sum(axis=-1)) / lengths
+    return cosines[np.isfinite(cosines)]
 
 
 def is_planar(holds: str) -> bool:

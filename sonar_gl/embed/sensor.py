@@ -32,6 +32,7 @@ from sonar_gl.embed.depth_images import (
     check_body_names,
     check_images,
     is_planar,
+    normals_suspicion,
     z_buffer_suspicion,
 )
 from sonar_gl.embed.framebuffer import release_framebuffers
@@ -261,8 +262,8 @@ class Sensor:
         Warns
         -----
         UserWarning
-            if the cameras do not cover the fan, or depth looks like a z-buffer, once for each set of cameras; if the
-            ping has no echo.
+            if the cameras do not cover the fan, depth looks like a z-buffer, or normals do not fit it, once for each
+            set of cameras; if depth is float16; if the ping has no echo.
 
         Raises
         ------
@@ -330,7 +331,7 @@ class Sensor:
                 self.acoustics.has_cones(self.sonar),
             )
             suspicion = z_buffer_suspicion(images, self.sonar) if kind.may_be_z_buffer else None
-            for warning in (rig.warning, suspicion):
+            for warning in (rig.warning, suspicion, normals_suspicion(cameras, images, kind.planar)):
                 if warning:
                     warn_caller(warning)
         self._rigs[key] = rig  # at the end: the dict is in order of use
@@ -445,7 +446,7 @@ def ping_from_depth(
     Warns
     -----
     UserWarning
-        if the cameras do not cover the fan, depth looks like a z-buffer, or the ping has no echo.
+        as for `sonar_gl.embed.Sensor.ping_from_depth`.
 
     Raises
     ------

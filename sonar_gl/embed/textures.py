@@ -174,14 +174,18 @@ def metres_ahead(z_buffer: ArrayLike, projection: ArrayLike, zero_to_one: bool =
     Error
         if the z-buffer is not an image of 0..1, or the projection is not such a perspective.
     """
+    dtype = getattr(z_buffer, "dtype", None)
+    if dtype == np.float16:
+        raise Error("z_buffer must be in float32 (got float16, whose steps near 1 are metres at a distance)")
     z_buffer = frozen_array(z_buffer, np.float32, (None, None), "z_buffer")
     low, high = (z_buffer.min(), z_buffer.max()) if z_buffer.size else (0, 1)
     if low < -ROUNDING or high > 1 + ROUNDING:
-        cure = (
-            "make 0..1 of -1..1 by d / 2 + 0.5"
-            if high <= 1
-            else "divide whole numbers by the largest of their type"
-        )
+        if high <= 1:
+            cure = "make 0..1 of -1..1 by d / 2 + 0.5"
+        elif dtype is not None and dtype.kind in "iu":
+            cure = "divide whole numbers by the largest of their type"
+        else:
+            cure = "what holds metres already needs no conversion"
         raise Error(f"z_buffer must lie in 0..1 (got {low:g} to {high:g}; {cure})")
     projection = check_projection(projection)
     if projection[2, 0] or projection[2, 1]:

@@ -387,6 +387,60 @@ def test_a_sphere_and_its_limb():
         assert wrong(ping, exact) < 0.005
 
 
+def hints(depth, camera=CAMERA, n=1, **more) -> list[str]:
+    """Return the warnings of some pings of a new sensor."""
+    with warnings.catch_warnings(record=True) as caught, embed.Sensor(SONAR, IDEAL) as sensor:
+        warnings.simplefilter("always")
+        for _ in range(n):
+            sensor.ping_from_depth(depth, camera, **more)
+    return [str(one.message) for one in caught]
+
+
+PITCHED = sg.pose(pitch=0.3, yaw=0.5)[:3, :3]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda n: n @ (PITCHED @ CAMERA.rotation).T,  # those of the world
+        lambda n: n @ CAMERA.rotation.T,  # those of the sonar
+        lambda n: n[..., ::-1],
+    ],
+)
+def test_normals_in_other_axes_give_a_hint_once(change):
+    """They moved most of the echo into other bins without a word."""
+    _, depth, normals, _ = ROOM_CAST.images(CAMERA)
+    found = hints(depth, n=2, normals=change(normals))
+    assert found == [
+        "normals do not fit the depths: half of them are more than 45° off the surfaces that the depths show "
+        "(give them in the camera's optical axes, x right, y down, z ahead, of textures in the view's axes)"
+    ]
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.02])
+def test_normals_that_fit_the_depths_give_no_hint(noise_m):
+    random = np.random.default_rng(0)
+    distances, depth, normals, _ = ROOM_CAST.images(CAMERA)
+    noise = random.normal(0, noise_m, depth.shape)
+    assert not hints(depth + noise, normals=normals)
+    assert not hints(distances + noise, normals=-3 * normals, holds="range")
+    some = normals.copy()
+    some[: CAMERA.height // 2] = 0  # estimated there
+    some[CAMERA.height // 2 :, ::3] = np.nan
+    assert not hints(depth + noise, normals=some)
+    assert not hints([depth, depth], [CAMERA, CAMERA], normals=[normals, 0 * normals])
+    assert not hints(np.where(random.random(depth.shape) < 0.7, depth, 0), normals=normals)
+    tiny = sg.Camera.of_fov(3, 2, fov_x_rad=1.0)
+    assert not [one for one in hints(np.ones((2, 3)), tiny, normals=np.ones((2, 3, 3))) if "normals" in one]
+
+
+def test_depth_in_float16_gives_a_hint():
+    _, depth, _, _ = ROOM_CAST.images(CAMERA)
+    rounded = depth.astype(np.float16)
+    assert hints(rounded) == ["depth in float16 is rounded, by up to 4 mm from 8 m on (hand over float32)"]
+    assert not hints(rounded.astype(np.float32))
+
+
 def test_normals_may_have_any_length():
     """Longer than 1e19 counted as none, since the square of a float32 overflows."""
     sonar = sg.load_sonar("p900-45")
@@ -628,7 +682,15 @@ GOOD = np.full((30, 40), 5.0)
         ({"body_id": np.full((30, 40), -1)}, "body_id must lie in 0..65534.*got -1"),
         ({"body_id": np.full((30, 40), 65535)}, "body_id must lie in 0..65534.*65535"),
         ({"reflectivity": 1.5}, "reflectivity must lie in 0..1"),
-        ({"reflectivity": "high"}, "reflectivity must be a number"),
+        (
+            {"reflectivity": "sand"},
+            r"reflectivity must be a number in 0..1 \(got 'sand'; "
+            r"sonar_gl.scene.materials.material\('sand'\).reflectivity is that of a material\)",
+        ),
+        (
+            {"reflectivity": {1: "sand"}, "body_id": np.ones((30, 40), int)},
+            r"reflectivity must be a number in 0..1 \(got 'sand'; .*material\('sand'\).reflectivity",
+        ),
         (
             {"reflectivity": np.full((30, 40), np.nan)},
             "reflectivity must lie in 0..1 where depth shows a surface .got NaN in 1200 of these pixels",
@@ -643,6 +705,10 @@ GOOD = np.full((30, 40), 5.0)
         (
             {"several": 2, "depth": GOOD},
             "depth must be a list of .* cameras, 2 .got ndarray",
+        ),
+        (
+            {"several": 1},
+            "depth must be a list of .* cameras, 1 .got ndarray; or give the camera alone, without a list",
         ),
         ({"several": 2, "depth": [GOOD]}, "depth must be a list .*cameras, 2 .got 1 of them"),
         ({"several": 1, "depth": [GOOD], "normals": np.zeros((30, 40, 3))}, "normals must be a list"),
@@ -758,6 +824,14 @@ def test_a_z_buffer_in_place_of_depth_warns_once():
         (
             (np.full((2, 2), 4_000_000_000, np.uint32), projection),
             r"z_buffer must lie in 0..1 \(got 4e\+09 to 4e\+09; divide whole numbers by the largest of their type\)",
+        ),
+        (
+            (np.full((2, 2), 5.0), projection),
+            r"z_buffer must lie in 0..1 \(got 5 to 5; what holds metres already needs no conversion\)",
+        ),
+        (
+            (z_buffer.astype(np.float16), projection),
+            r"z_buffer must be in float32 \(got float16, whose steps",
         ),
         (
             ([[-0.5, 0.9]], projection),
