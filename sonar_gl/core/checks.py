@@ -132,8 +132,10 @@ def check_kind(name: str, value, kind, cure: str):
     """Raise an `Error` unless `value` is an instance of `kind`, a class or a union of classes and None."""
     if not isinstance(value, kind):
         wanted = (get_args(kind) or (kind,))[0].__name__
-        article = "an" if wanted[0] in "AEIOU" else "a"
-        raise Error(f"{name} must be {article} {wanted} (got {type(value).__name__}; {cure})")
+        article, got = "an" if wanted[0] in "AEIOU" else "a", type(value).__name__
+        if got == wanted:  # of another library, such as trimesh.Scene
+            got = f"that of {type(value).__module__.partition('.')[0]}"
+        raise Error(f"{name} must be {article} {wanted} (got {got}; {cure})")
 
 
 def is_iterable(value) -> bool:

@@ -151,7 +151,8 @@ def make_engine(
     is_known = context is None or (isinstance(context, str) and context == "current")
     if not is_known or (context is not None and device is not None):
         got = f"{context!r}" if device is None else f"{context!r} and device {device!r}"
-        raise Error(f"context must be 'current' without a device, or None (got {got})")
+        cure = "" if isinstance(context, str) else "; make a host's context current, and give 'current'"
+        raise Error(f"context must be 'current' without a device, or None (got {got}{cure})")
     asked = check_engine(engine)
     if engine == "cpu" and (context is not None or device is not None):
         got = f"context {context!r}" if context is not None else f"device {device!r}"

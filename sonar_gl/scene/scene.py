@@ -460,7 +460,12 @@ class Scene(ArraysStayReadOnly):
 def _bodies_and_plumes(things: Iterable) -> tuple[tuple[Body, ...], tuple[Bubbles, ...]]:
     things = list(things)
     for thing in things:
-        check_kind("a body of a scene", thing, Body | Bubbles, "give several, as in Scene([body])")
+        cure = "give several, as in Scene([body])"
+        if hasattr(thing, "faces"):
+            cure = "as in Scene([sonar_gl.Body('box', mesh)])"
+        elif hasattr(thing, "geometry"):
+            cure = "sonar_gl.load_scene makes a scene of that"
+        check_kind("a body of a scene", thing, Body | Bubbles, cure)
     bodies = tuple(thing for thing in things if not isinstance(thing, Bubbles))
     return bodies, tuple(thing for thing in things if isinstance(thing, Bubbles))
 

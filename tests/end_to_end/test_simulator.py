@@ -653,6 +653,18 @@ NAN[0, 3] = np.nan
             "scene must be a Scene (got str; sonar_gl.load_scene makes one from a name or a file)",
         ),
         (
+            lambda: sg.Simulator(trimesh.Scene(BOX.mesh), SONAR),
+            "scene must be a Scene (got that of trimesh; sonar_gl.load_scene makes one from a name or a file)",
+        ),
+        (
+            lambda: sg.Scene(trimesh.Scene(BOX.mesh)),
+            "a body of a scene must be a Body (got Scene; sonar_gl.load_scene makes a scene of that)",
+        ),
+        (
+            lambda: sg.Scene([BOX.mesh]),
+            "a body of a scene must be a Body (got Trimesh; as in Scene([sonar_gl.Body('box', mesh)]))",
+        ),
+        (
             lambda: sg.Simulator(sg.Scene([BOX]), "p900-45"),
             "sonar must be a Sonar (got str; sonar_gl.load_sonar makes one from a name or a file)",
         ),

@@ -91,7 +91,8 @@ def test_the_variable_chooses_and_an_argument_overrides_it(no_card, monkeypatch)
         (
             {"context": np.zeros(3)},
             "",
-            "context must be 'current' without a device, or None (got array([0., 0., 0.])",
+            "context must be 'current' without a device, or None (got array([0., 0., 0.]); make a host's context "
+            "current, and give 'current')",
         ),
         (
             {"engine": np.zeros(3)},
