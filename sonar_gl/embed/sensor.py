@@ -412,8 +412,8 @@ class Sensor:
     def __del__(self):
         # No OpenGL calls here: the garbage collector may run this in the midst of other drawing.
         drawing, host = getattr(self, "_drawing", None), getattr(self, "_host", None)
-        is_owner = os.getpid() == getattr(self, "_process", None)  # a forked process is not
-        if host is not None and is_owner:
+        # A forked process is no owner. As Python ends, os may have lost its functions: a closed sensor needs none.
+        if host is not None and os.getpid() == self._process:
             lifetime.discard(*(drawing.framebuffers if drawing is not None else ()), host)
 
 

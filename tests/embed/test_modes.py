@@ -3,6 +3,7 @@
 import contextlib
 import gc
 import math
+import os
 import warnings
 from dataclasses import replace
 from functools import partial
@@ -699,6 +700,14 @@ def test_a_closed_sensor_leaves_no_objects(host, use):
     for call in (lambda: sensor.sectors(POSE), texture, sensor.finish):
         with pytest.raises(sg.Error, match="this Sensor is closed; make a new one"):
             call()
+
+
+def test_a_closed_sensor_outlives_the_modules_that_it_uses(monkeypatch):
+    """As Python ends; a host that keeps it, as Panda3D may, showed an exception that nobody can catch."""
+    sensor = embed.Sensor(SONAR, sampling=SAMPLING)
+    sensor.close()
+    monkeypatch.setattr(os, "getpid", None)
+    sensor.__del__()
 
 
 def test_a_sensor_must_be_closed_in_its_own_thread(host):
