@@ -217,8 +217,7 @@ def _cosines(camera: Camera, image: DepthImage, planar: bool) -> np.ndarray:
 
     def inverse(j, i):
         depth = image.depth[j, i].astype(np.float64)
-        is_surface = (depth > 0) & (depth < np.inf)
-        return np.where(is_surface, 1.0 if planar else np.linalg.norm(rays(j, i), axis=-1), np.nan) / depth
+        return np.where(depth > 0, 1.0 if planar else np.linalg.norm(rays(j, i), axis=-1), np.nan) / depth
 
     with np.errstate(all="ignore"):
         # 1/Z of the plane p . x = 1 is p . K^-1 (i, j, 1)

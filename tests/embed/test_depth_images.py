@@ -434,6 +434,14 @@ def test_normals_that_fit_the_depths_give_no_hint(noise_m):
     assert not [one for one in hints(np.ones((2, 3)), tiny, normals=np.ones((2, 3, 3))) if "normals" in one]
 
 
+def test_normals_of_walls_far_aside_of_a_wide_camera_fit_the_depths():
+    camera = sg.Camera.of_fov(400, 100, math.radians(150), math.radians(60))
+    distances, depth, normals, _ = Cast(plane([0, 1, 0], 2.0), plane([0, -1, 0], 2.0)).images(camera)
+    assert not hints(depth, camera, normals=normals)
+    assert not hints(distances, camera, normals=normals, holds="range")
+    assert hints(depth, camera, normals=normals[..., ::-1])
+
+
 def test_depth_in_float16_gives_a_hint():
     _, depth, _, _ = ROOM_CAST.images(CAMERA)
     rounded = depth.astype(np.float16)
