@@ -27,7 +27,7 @@ from sonar_gl.embed.camera import Camera
 from sonar_gl.imaging.boxes import body_map_and_bins, boxes_of
 from sonar_gl.imaging.fan_image import fan_image
 from sonar_gl.imaging.files import npz_bytes, png_bytes, save_animation
-from sonar_gl.noise.field import receiver_power
+from sonar_gl.noise.reception import receiver_power
 from sonar_gl.ping import Ping
 from sonar_gl.ros.bag import (
     BagSettings,

@@ -34,7 +34,7 @@ from sonar_gl.core.load_numba import load_numba
 from sonar_gl.imaging.files import check_fps, output_folder, save_animation, save_npz, save_png
 from sonar_gl.imaging.formats import FILMS, STILLS
 from sonar_gl.imaging.styles import DemarcoStyle, FanStyle, shows_echo, what_lacks_16_bits
-from sonar_gl.noise.field import receiver_power
+from sonar_gl.noise.reception import receiver_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.extent import bodies_beyond

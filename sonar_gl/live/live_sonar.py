@@ -23,8 +23,8 @@ from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.simulators import SimulatorPool
 from sonar_gl.live.sonar_motion import TimedPose
 from sonar_gl.live.surfaces import surface_in_bin
-from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.hidden_labels import without_hidden_labels
+from sonar_gl.noise.reception import receiver_power
 from sonar_gl.ping import Ping
 from sonar_gl.scene.extent import place_texts
 from sonar_gl.scene.scene import Scene

@@ -22,7 +22,7 @@ def without_hidden_labels(ping: Ping, power: np.ndarray | None) -> Ping:
     Parameters
     ----------
     ping : Ping, to which no noise was added
-    power : mean power of the receiver's noise, shape that broadcasts to (B, K), as of `field.receiver_power`; None for
+    power : mean power of the receiver's noise, shape that broadcasts to (B, K), as of `receiver_power`; None for
         no such noise
 
     Returns

@@ -12,6 +12,7 @@ from sonar_gl.noise.field import FieldNoise
 from sonar_gl.noise.gaussian import add_normal
 from sonar_gl.noise.hidden_labels import without_hidden_labels
 from sonar_gl.noise.random_streams import stream
+from sonar_gl.noise.reception import reception_of
 from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import NOISE_PARTS, Ping
@@ -48,10 +49,10 @@ def add_noise(
     seed, ping_number = check_whole_number("seed", seed), check_whole_number("ping_number", ping_number)
     if noise is None or not (noise.acts_on_field or noise.acts_on_bins):
         return ping
-    out = np.array(ping.intensity, dtype=np.float32, order="C")
-    field = FieldNoise(ping, noise, seed, ping_number, thread)
     if noise.acts_on_field:
-        field.apply(out)
+        out = FieldNoise(ping, noise, seed, ping_number, thread).noisy()
+    else:
+        out = np.array(ping.intensity, dtype=np.float32, order="C")
     ringing = ring_down_power(ping.range_m, ping.sonar, ping.acoustics) if noise.self_noise else None
     if ringing is not None:
         out += ringing.astype(np.float32)
@@ -70,5 +71,5 @@ def add_noise(
     out.setflags(write=False)
     # as asdict, in a twentieth of its time
     record = {"noise": dict(vars(noise)), "seed": seed, "ping_number": ping_number}
-    labelled = without_hidden_labels(ping, field.receiver_power)
+    labelled = without_hidden_labels(ping, reception_of(ping, noise).receiver_power)
     return replace(labelled, intensity=out, **dict.fromkeys(NOISE_PARTS), meta={**ping.meta, **record})

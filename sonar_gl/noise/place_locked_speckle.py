@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from functools import partial
 from itertools import product
 from typing import NamedTuple
@@ -20,16 +20,15 @@ from sonar_gl.acoustics.pulse import (
     is_coarse,
 )
 from sonar_gl.core.compiled import compiled
-from sonar_gl.core.worker import SecondThread, run_halves, run_rows
-from sonar_gl.noise.gaussian import standard_normal
-from sonar_gl.noise.speckle import TAPS, FieldCorrelation, aperture_width, interpolate_beams
+from sonar_gl.core.worker import SecondThread, run_rows
+from sonar_gl.noise.speckle import TAPS, BeamField, FieldCorrelation, aperture_width, own_nodes
+from sonar_gl.noise.wave_cache import CHUNK, Waves
 
 # Side of the square cells of the sea, each with independent waves. Their middles lie at whole multiples of it, since
 # sonars often lie at the origin or at round numbers: one cell makes the field there, at corners four do.
 CELL_M = 0.5
 FADE_M = 0.1  # width of the cross-fade between two cells
 FURTHEST_M = (CELL_M + FADE_M) / 2 * math.sqrt(2)  # of a sonar from the middle of a cell whose field it has
-CHUNK = 64  # waves per random stream
 # Nodes between which the fields of beams are interpolated, TAPS for each beam: nodes per period of the field, shape
 # of the Kaiser window, and how many for each beam are worth it.
 OVERSAMPLING, KAISER, MOST_NODES = 2.0, 5.3, 0.8
@@ -37,12 +36,8 @@ OVERSAMPLING, KAISER, MOST_NODES = 2.0, 5.3, 0.8
 KAISER_WINDOW = tuple(((KAISER / 2) ** n / math.factorial(n)) ** 2 for n in range(14))
 # least number of waves in an aperture; the outermost count in part, so that it slides smoothly
 MIN_WAVES = 64
-# Share of the nodes whose waves the caller sums while the second thread does other work, which takes about as long:
-# the field of the receiver's noise, which has about as many products.
-SHARE_BESIDE = 0.5
-FEW_WAVE_PRODUCTS = (
-    1_000_000  # of waves and bins, some 0.5 ms; for fewer a hand-over to another thread does not pay
-)
+# of waves and bins, some 0.5 ms; for fewer a hand-over to another thread does not pay
+FEW_WAVE_PRODUCTS = 1_000_000
 
 
 class FieldShape(NamedTuple):
@@ -351,87 +346,6 @@ def _weight_of(matrix, beam, wave):
     return float32(0), float32(0)
 
 
-RECENT_USES = 8  # of waves: two pings take those of four cells each
-
-
-class Waves(NamedTuple):
-    """Random waves of a cell of the sea.
-
-    Attributes
-    ----------
-    chunks : their numbers, CHUNK waves each
-    coefficients : (waves, 2, bins) float32, complex amplitudes, read-only
-    """
-
-    chunks: range
-    coefficients: np.ndarray
-
-
-class WaveCache:
-    """The waves that the last pings received: those of a sonar that moves are mostly the same.
-
-    Those that were not used for longest make room, unless that was a moment ago: of cells that are used in turn and do
-    not all fit, each would go just before it is used again.
-
-    Parameters
-    ----------
-    max_bytes : of the waves that it keeps
-    """
-
-    def __init__(self, max_bytes: int):
-        self._max_bytes = max_bytes
-        # With the number of their last use, the oldest first. It is replaced at once and never changed, for other
-        # threads: a signal handler that pings would wait for ever for a lock that the code below it holds.
-        self._cells: dict[Hashable, tuple[int, Waves]] = {}
-        self._n_uses = 0
-
-    def waves(self, key: Hashable, chunks: range, n_bins: int, generator) -> Waves:
-        """Return waves of a cell: these chunks, or more.
-
-        Parameters
-        ----------
-        key : with `n_bins` what determines the waves, besides the numbers of their chunks
-        generator : function (chunk) -> numpy.random.Generator
-        """
-        key = key, n_bins
-        _, old = self._cells.get(key, (0, None))
-        if old is None or chunks.start < old.chunks.start or old.chunks.stop < chunks.stop:
-            found = Waves(chunks, np.empty((len(chunks) * CHUNK, 2, n_bins), np.float32))
-            for chunk in chunks:
-                known = old is not None and chunk in old.chunks
-                _chunk_of(found, chunk)[:] = (
-                    _chunk_of(old, chunk) if known else standard_normal(generator(chunk), (CHUNK, 2, n_bins))
-                )
-            found.coefficients.setflags(write=False)
-        else:
-            found = old
-        self._n_uses = n_uses = self._n_uses + 1
-        cells = dict(self._cells)
-        cells.pop(key, None)
-        if self._make_room(cells, found.coefficients.nbytes, n_uses):
-            cells[key] = n_uses, found
-        self._cells = cells
-        return found
-
-    def _make_room(self, cells: dict, n_bytes: int, n_uses: int) -> bool:
-        """Return whether so many bytes fit, after those of the cells have gone that may go."""
-        room = self._max_bytes - n_bytes - sum(waves.coefficients.nbytes for _, waves in cells.values())
-        while room < 0 and cells:
-            oldest = next(iter(cells))
-            last_use, waves = cells[oldest]
-            if last_use > n_uses - RECENT_USES:
-                return False
-            room += waves.coefficients.nbytes
-            del cells[oldest]
-        return room >= 0
-
-
-def _chunk_of(waves: Waves, chunk: int) -> np.ndarray:
-    """Return the coefficients of a chunk."""
-    first = (chunk - waves.chunks.start) * CHUNK
-    return waves.coefficients[first : first + CHUNK]
-
-
 class _Layout(NamedTuple):
     """Where the waves of a place-locked field go.
 
@@ -563,8 +477,7 @@ def place_locked_field(
     pose,
     waves_of: Callable[[int, int, range, int], Waves],
     thread: SecondThread | None = None,
-    beside: Callable[[], None] | None = None,
-) -> np.ndarray:
+) -> BeamField:
     """Return a complex Gaussian field of unit variance that the sonar's pose alone determines.
 
     Parameters
@@ -574,11 +487,6 @@ def place_locked_field(
         count
     waves_of : function (cell x, cell y, chunks, number of bins) of those waves, or more
     thread : does a part of the work, with the same bytes
-    beside : other work, which the thread does first; done in any case
-
-    Returns
-    -------
-    (B, 2, K) float32, real and imaginary parts
 
     Notes
     -----
@@ -595,37 +503,15 @@ def place_locked_field(
     is the mirror image, as are its beams. As an approximation, the bearing
     of a scatterer does not change as the sonar passes it; near ones would move by d / r.
     """
-    cells, *more = product(_cells_at(pose[0, 3]), _cells_at(pose[1, 3]))
-
-    def begin(half: int) -> tuple[_Layout, np.ndarray, _WaveSums, int] | None:
-        if half:
-            return beside()
-        layout = _lay_out(shape, pose)
+    layout = _lay_out(shape, pose)
+    nodes, n_nodes = layout.nodes, len(layout.azimuth_rad)
+    fields = np.zeros((max(n_nodes, TAPS), 2, shape.n_bins), np.float32)
+    products = np.zeros((n_nodes, TAPS))
+    is_little = fields.size * layout.length < FEW_WAVE_PRODUCTS
+    for cells in product(_cells_at(pose[0, 3]), _cells_at(pose[1, 3])):
         sums = _wave_sums(shape, layout, cells, waves_of)
-        fields = np.zeros((len(layout.azimuth_rad), 2, shape.n_bins), np.float32)
-        n_done = 0 if beside is None else int(SHARE_BESIDE * len(fields))
-        sums.add_to(fields, slice(n_done))
-        return layout, fields, sums, n_done
-
-    layout, fields, sums, n_done = begin(0) if beside is None else run_halves(thread, begin)[0]
-    if fields.size * layout.length < FEW_WAVE_PRODUCTS:
-        thread = None
-    run_rows(thread, partial(sums.add_to, fields), n_done, len(fields))
-    nodes, products = layout.nodes, np.zeros((len(fields), TAPS))
-    if nodes is not None:
-        sums.add_products_to(products)
-    for cells in more:
-        sums = _wave_sums(shape, layout, cells, waves_of)
-        run_rows(thread, partial(sums.add_to, fields), 0, len(fields))
+        run_rows(None if is_little else thread, partial(sums.add_to, fields), 0, n_nodes)
         if nodes is not None:
             sums.add_products_to(products)
-    if nodes is None:
-        return fields
-    weights = nodes.even_weights(products)
-    out = np.empty((len(nodes.first), 2, shape.n_bins), np.float32)
-
-    def interpolate(rows: slice) -> None:
-        interpolate_beams(fields, nodes.first[rows], weights[rows], out[rows])
-
-    run_rows(thread, interpolate, 0, len(out))
-    return out
+    first, weights = own_nodes(n_nodes) if nodes is None else (nodes.first, nodes.even_weights(products))
+    return BeamField(fields, first, weights, 1.0)

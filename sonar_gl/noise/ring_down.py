@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
-from sonar_gl.noise.field import MAX_POWER
+from sonar_gl.noise.reception import MAX_POWER
 from sonar_gl.sonar.sonar import Sonar
 
 

@@ -11,7 +11,8 @@ from numba import float32, uint64
 
 from sonar_gl.acoustics.beam_pattern import aperture_field, aperture_weights, main_lobe_edge
 from sonar_gl.acoustics.pulse import convolve
-from sonar_gl.core.compiled import compiled
+from sonar_gl.core.compiled import compiled, uncounted
+from sonar_gl.core.worker import SecondThread, run_rows
 from sonar_gl.noise.gaussian import standard_normal
 
 # Multiplications in a matrix product that BLAS computes in one thread. More threads stall on busy cores.
@@ -26,6 +27,7 @@ LOW_END = 0.018  # of the aperture, power over the mean: a pattern is cut off wh
 # Nodes whose fields make those of beams: nodes per λ/L of azimuth, nodes that count for a beam, and the shape of the
 # Kaiser window by which they do.
 OVERSAMPLING, TAPS, KAISER = 1.25, 8, 14.8
+MANY_BINS = 100_000  # of a look that two threads finish: 0.15 ms of work
 
 
 class FieldCorrelation(NamedTuple):
@@ -43,6 +45,29 @@ class FieldCorrelation(NamedTuple):
     beam_width_rad: float | None
     taper_series: tuple[float, ...] = ()
     pulse_weights: np.ndarray | None = None
+
+
+class BeamField(NamedTuple):
+    """A complex Gaussian field of B beams, each interpolated between TAPS neighbours of N nodes.
+
+    Attributes
+    ----------
+    nodes : (N, 2, K) float32, the real and imaginary parts of the fields of nodes
+    first, weights : (B,) int64 and (B, TAPS) float32, the first of the nodes of each beam and their weights
+    scale : standard deviation of the field, per that of its real part
+    """
+
+    nodes: np.ndarray
+    first: np.ndarray
+    weights: np.ndarray
+    scale: float
+
+    def of_beams(self, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what kernels need of some beams: nodes, first and weights."""
+        return self.nodes, self.first[rows], self.weights[rows]
+
+
+_NO_FIELD = np.empty((0, 2, 0), np.float32), np.empty(0, np.int64), np.empty((0, TAPS), np.float32)
 
 
 class BeamNodes(NamedTuple):
@@ -71,6 +96,17 @@ def aperture_width(taper_series: tuple[float, ...] = ()) -> float:
     1.303
     """
     return 2 * main_lobe_edge(taper_series, 0.5)
+
+
+def own_nodes(n_beams: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return `first` and `weights` of a `BeamField` whose nodes are the beams, and more if there are fewer than TAPS.
+
+    >>> own_nodes(9)[0].tolist()
+    [0, 1, 1, 1, 1, 1, 1, 1, 1]
+    """
+    numbers = np.arange(n_beams)
+    first = np.minimum(numbers, max(n_beams - TAPS, 0))
+    return first, np.eye(TAPS, dtype=np.float32)[numbers - first]
 
 
 @lru_cache(maxsize=8)
@@ -102,15 +138,14 @@ def beam_nodes(
     .. [1] Fessler, Sutton, "Nonuniform fast Fourier transforms using min-max interpolation", IEEE Trans. Signal
        Process. 51, 560-574, 2003
     """
-    azimuth, numbers = np.asarray(azimuth_rad), np.arange(len(azimuth_rad))
+    azimuth = np.asarray(azimuth_rad)
     independent_widths = 1.7 if taper_series else 0.95
     if (
         beam_width_rad is None
         or len(azimuth) < 2
         or np.diff(azimuth).min() >= independent_widths * beam_width_rad
     ):
-        first = np.minimum(numbers, max(len(azimuth) - TAPS, 0))
-        return BeamNodes(None, None, first, np.eye(TAPS, dtype=np.float32)[numbers - first])
+        return BeamNodes(None, None, *own_nodes(len(azimuth)))
     fan_rad = azimuth[-1] - azimuth[0]
     is_circle = fan_rad > 2 * np.pi - CLOSING_WIDTHS * beam_width_rad
     period = 2 * np.pi if is_circle else fan_rad + MARGIN_WIDTHS * beam_width_rad
@@ -151,35 +186,53 @@ def beam_nodes(
     return BeamNodes(sines, cosines, first, weights.astype(np.float32))
 
 
-def _node_fields(
-    nodes: BeamNodes, n_bins: int, pulse_weights: np.ndarray | None, generator: np.random.Generator
-) -> np.ndarray:
-    """Return the fields of nodes, (N, 2, K) float32, from which those of beams have unit variance per part."""
-    sines, cosines, first, _ = nodes
+def correlated_field(correlation: FieldCorrelation, n_bins: int, generator: np.random.Generator) -> BeamField:
+    """Return a random field, of unit variance in the real and in the imaginary part.
+
+    Notes
+    -----
+    The fields of bins correlate as the autocorrelation of the pulse weights. Overlapping beams share the waves that the
+    elements of their aperture receive. Scatterers surround the sonar, so the waves at different elements are
+    independent, and the fields of beams correlate as the Fourier transform of the squared element weights [1]_. For a
+    uniform line array that is sinc(0.8859 D / width) for beams D apart. Intensities correlate as its square.
+
+    References
+    ----------
+    .. [1] Goodman, Speckle Phenomena in Optics, 2007 (van Cittert-Zernike theorem)
+    """
+    sines, cosines, first, weights = beam_nodes(*correlation[:3])
+    pulse_weights = correlation.pulse_weights
     n_white = first[-1] + TAPS if sines is None else sines.shape[1] + cosines.shape[1]
     reach = 0 if pulse_weights is None else len(pulse_weights) - 1
     white = standard_normal(generator, (2 * n_white, n_bins + reach))
     if reach:
         white = convolve(white, pulse_weights)
     if sines is None:
-        return white.reshape(n_white, 2, n_bins)
-    white, half = white.reshape(n_white, 2 * n_bins), len(sines)
-    out = np.empty((2 * half, 2 * n_bins), np.float32)
+        nodes = white.reshape(n_white, 2, n_bins)
+    else:
+        nodes = _sum_waves(sines, cosines, white.reshape(n_white, 2 * n_bins)).reshape(-1, 2, n_bins)
+    return BeamField(nodes, first, weights, math.sqrt(0.5))
+
+
+def _sum_waves(sines: np.ndarray, cosines: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Return the sums of waves at N nodes, (N, n) float32; sines, cosines : of `BeamNodes`; white : (M, n)."""
+    half, n = len(sines), white.shape[1]
+    out = np.empty((2 * half, n), np.float32)
     block = max(8, ONE_THREAD_PRODUCT // cosines.size // 8 * 8)
-    for start in range(0, 2 * n_bins, block):
+    for start in range(0, n, block):
         part, to = white[:, start : start + block], out[:, start : start + block]
         odd, even = sines @ part[: sines.shape[1]], cosines @ part[sines.shape[1] :]
         np.add(even, odd, out=to[:half])
         np.subtract(even, odd, out=to[: half - 1 : -1])
-    return out.reshape(2 * half, 2, n_bins)
+    return out
 
 
-@compiled
-def _weigh_nodes(fields, first, part, weights, out):
+@uncounted
+def _weigh_nodes(nodes, first, part, weights, out):
     """Fill out (K,) with a part of the fields (N, 2, K), real or imaginary, of TAPS nodes by their weights (TAPS,)."""
     a, n = weights, first
-    p, q, r, s = fields[n, part], fields[n + 1, part], fields[n + 2, part], fields[n + 3, part]
-    t, u, v, w = fields[n + 4, part], fields[n + 5, part], fields[n + 6, part], fields[n + 7, part]
+    p, q, r, s = nodes[n, part], nodes[n + 1, part], nodes[n + 2, part], nodes[n + 3, part]
+    t, u, v, w = nodes[n + 4, part], nodes[n + 5, part], nodes[n + 6, part], nodes[n + 7, part]
     for k in range(uint64(len(out))):
         x = a[1] * q[k] + a[0] * p[k]
         x = a[2] * r[k] + x
@@ -190,54 +243,109 @@ def _weigh_nodes(fields, first, part, weights, out):
         out[k] = a[7] * w[k] + x
 
 
-@compiled
-def interpolate_beams(fields, first, weights, out):
-    """Fill out (B, 2, K) with the fields of beams, from those of nodes (N, 2, K)."""
-    for b in range(uint64(len(out))):
-        for part in range(2):
-            _weigh_nodes(fields, first[b], part, weights[b], out[b, part])
-
-
-@compiled
-def _multiply(fields, first, weights, out):
-    """Multiply out (B, K) by half the squared magnitude of the fields of beams, from those of nodes (N, 2, K)."""
-    field = np.empty((2, out.shape[1]), np.float32)
-    real, imaginary = field[0], field[1]
-    for b in range(uint64(len(out))):
-        _weigh_nodes(fields, first[b], 0, weights[b], real)
-        _weigh_nodes(fields, first[b], 1, weights[b], imaginary)
-        row = out[b]
+@uncounted
+def _add_beam(field, beam, amplitude, work, total):
+    """Add the field of a beam, times an amplitude (K,), to total (2, K); work : (K,), overwritten."""
+    nodes, first, weights = field
+    for part in range(2):
+        _weigh_nodes(nodes, first[beam], part, weights[beam], work)
+        row = total[part]
         for k in range(uint64(len(row))):
-            row[k] *= float32(0.5) * (real[k] * real[k] + imaginary[k] * imaginary[k])
+            row[k] += amplitude[k] * work[k]
+
+
+@uncounted
+def _look_at_beam(beam, echo, speckle, scale, steady, others, noise, noise_amplitude, work, out):
+    """Do the work of `_look` for one beam; work : (4, K), overwritten."""
+    row, to, total, amplitude = echo[beam], out[beam], work[:2], work[2]
+    real, imaginary = total[0], total[1]
+    if len(steady):
+        for k in range(uint64(len(row))):
+            real[k] = np.sqrt(steady[beam, k])
+            amplitude[k] = np.sqrt(max(row[k] - steady[beam, k], float32(0))) * scale
+    else:
+        for k in range(uint64(len(row))):
+            real[k] = float32(0)
+            amplitude[k] = np.sqrt(row[k]) * scale
+    for k in range(uint64(len(row))):
+        imaginary[k] = float32(0)
+    if len(others):
+        for k in range(uint64(len(row))):
+            real[k] += others[beam, 0, k]
+            imaginary[k] += others[beam, 1, k]
+    if len(noise[0]):
+        _add_beam(noise, beam, noise_amplitude[min(beam, len(noise_amplitude) - 1)], work[3], total)
+    if len(speckle[0]):
+        _add_beam(speckle, beam, amplitude, work[3], total)
+    else:
+        for k in range(uint64(len(row))):
+            real[k] += amplitude[k]
+    for k in range(uint64(len(row))):
+        to[k] = real[k] * real[k] + imaginary[k] * imaginary[k]
 
 
 @compiled
-def _add(fields, first, weights, scale, total):
-    """Add scale, (B, K) or (1, K), times the fields of beams, from those of nodes (N, 2, K), to total (B, 2, K)."""
-    field, only = np.empty(total.shape[2], np.float32), uint64(len(scale) - 1)
-    for b in range(uint64(len(total))):
-        weight = scale[min(b, only)]
-        for part in range(2):
-            _weigh_nodes(fields, first[b], part, weights[b], field)
-            row = total[b, part]
-            for k in range(uint64(len(row))):
-                row[k] += weight[k] * field[k]
+def _look(echo, speckle, scale, steady, others, noise, noise_amplitude, out):
+    """Fill out (B, K) as `look_at` does; of arrays of no length, terms are left out."""
+    work = np.empty((4, echo.shape[1]), np.float32)
+    for beam in range(len(echo)):
+        _look_at_beam(beam, echo, speckle, scale, steady, others, noise, noise_amplitude, work, out)
 
 
-@compiled
-def replace_by_look(field, total, intensity):
-    """Replace echoes E, (B, K) float32, by one look |√E g + t|², in place.
+def look_at(
+    echo: np.ndarray,
+    speckle: BeamField | None,
+    steady: np.ndarray | None = None,
+    others: np.ndarray | None = None,
+    noise: BeamField | None = None,
+    noise_power: np.ndarray | None = None,
+    thread: SecondThread | None = None,
+) -> np.ndarray:
+    """Return one look |√(E − C) g + √C + s + √N n|² at echoes E, (B, K) float32.
+
+    Terms that are None are left out; without speckle, g is 1.
 
     Parameters
     ----------
-    field, total : g and t, (B, 2, K) float32, real and imaginary parts
+    echo : (B, K) float32
+    speckle, noise : g and n
+    steady : C, (B, K) float32, the part of the echo that does not speckle; rounding may make it more than the echo
+    others : s, (B, 2, K) float32, real and imaginary parts
+    noise_power : N, (B, K) float32, or (1, K) for all beams
+    thread : does half of the beams, unless there are few bins
     """
-    for b in range(uint64(len(intensity))):
-        row, x, y, p, q = intensity[b], field[b, 0], field[b, 1], total[b, 0], total[b, 1]
-        for k in range(uint64(len(row))):
-            amplitude = np.sqrt(row[k])
-            real, imaginary = amplitude * x[k] + p[k], amplitude * y[k] + q[k]
-            row[k] = real * real + imaginary * imaginary
+    scale, out = np.float32(1 if speckle is None else speckle.scale), np.empty(echo.shape, np.float32)
+    echo, steady = (
+        _read_only(np.empty((0, 0), np.float32) if one is None else one) for one in (echo, steady)
+    )
+    others = np.empty((0, 2, 0), np.float32) if others is None else others
+    if noise is None:
+        amplitude = np.empty((0, 0), np.float32)
+    else:
+        amplitude = np.multiply(np.sqrt(noise_power), np.float32(noise.scale), dtype=np.float32)
+
+    def work(rows: slice) -> None:
+        g, n = (_NO_FIELD if one is None else one.of_beams(rows) for one in (speckle, noise))
+        of_noise = amplitude[rows] if len(amplitude) > 1 else amplitude
+        _look(echo[rows], g, scale, steady[rows], others[rows], n, of_noise, out[rows])
+
+    run_rows(thread if out.size > MANY_BINS else None, work, 0, len(out))
+    return out
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """Return a contiguous view that cannot be written to: Numba compiles anew for one that can."""
+    out = np.ascontiguousarray(array).view()
+    out.setflags(write=False)
+    return out
+
+
+@compiled
+def _add(field, scale, total):
+    """Add the field of beams times scale, (B, K) or (1, K), to total (B, 2, K)."""
+    work, only = np.empty(total.shape[2], np.float32), len(scale) - 1
+    for beam in range(len(total)):
+        _add_beam(field, beam, scale[min(beam, only)], work, total[beam])
 
 
 def add_field(
@@ -253,33 +361,6 @@ def add_field(
     total : (B, 2, K) float32, real and imaginary parts
     amplitude : (B, K) float32, or (1, K) for all beams; its square is E|field|²
     """
-    scale = np.multiply(amplitude, np.float32(np.sqrt(0.5)), dtype=np.float32)
-    nodes = beam_nodes(*correlation[:3])
-    fields = _node_fields(nodes, total.shape[2], correlation.pulse_weights, generator)
-    _add(fields, nodes.first, nodes.weights, scale, total)
-
-
-def multiply_by_speckle(
-    intensity: np.ndarray, correlation: FieldCorrelation, generator: np.random.Generator
-) -> None:
-    """Multiply each bin of the intensity, in place, by |g|² of a complex Gaussian field g of unit variance.
-
-    Parameters
-    ----------
-    intensity : (B, K) float32
-
-    Notes
-    -----
-    |g|² is exponential: mean 1, contrast 1, standard deviation 5.57 dB. The fields of bins correlate as the
-    autocorrelation of the pulse weights. Overlapping beams share the waves that the elements of their
-    aperture receive. Scatterers surround the sonar, so the waves at different elements are independent, and
-    the fields of beams correlate as the Fourier transform of the squared element weights [1]_. For a uniform
-    line array that is sinc(0.8859 D / width) for beams D apart. Intensities correlate as its square.
-
-    References
-    ----------
-    .. [1] Goodman, Speckle Phenomena in Optics, 2007 (van Cittert-Zernike theorem)
-    """
-    nodes = beam_nodes(*correlation[:3])
-    fields = _node_fields(nodes, intensity.shape[1], correlation.pulse_weights, generator)
-    _multiply(fields, nodes.first, nodes.weights, intensity)
+    field = correlated_field(correlation, total.shape[2], generator)
+    scale = np.multiply(amplitude, np.float32(field.scale), dtype=np.float32)
+    _add(field.of_beams(slice(None)), scale, total)

@@ -52,7 +52,7 @@ from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.run import Run
 from sonar_gl.imaging.boxes import body_map, boxes_of
-from sonar_gl.noise.field import receiver_power
+from sonar_gl.noise.reception import receiver_power
 from sonar_gl.sonar.sampling import ToleranceWarning
 from tests.support.batches import (
     BOX,

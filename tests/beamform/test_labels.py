@@ -17,8 +17,8 @@ from sonar_gl.beamform.kernels.range_bins import bin_table
 from sonar_gl.beamform.labels import BEYOND_BODY, label_columns
 from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.embed.sensor import Sensor
-from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.noise import add_noise
+from sonar_gl.noise.reception import receiver_power
 from sonar_gl.ping import BIN_LABELS
 from sonar_gl.raster import scene_meshes
 from sonar_gl.sonar.fan import BeamShape, make_fan

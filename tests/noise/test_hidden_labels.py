@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import sonar_gl as sg
-from sonar_gl.noise.field import receiver_power
 from sonar_gl.noise.hidden_labels import without_hidden_labels
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.receiver import absolute_levels, common_noise_pattern
+from sonar_gl.noise.reception import receiver_power
 from sonar_gl.ping import BIN_LABELS, Ping
 from tests.support.even_ping import even_ping
 

@@ -17,7 +17,8 @@ from sonar_gl.noise.speckle import (
     add_field,
     aperture_width,
     beam_nodes,
-    multiply_by_speckle,
+    correlated_field,
+    look_at,
 )
 from tests.support.even_ping import (
     BEAM_WIDTH_RAD,
@@ -41,9 +42,9 @@ def speckled(ping, noise=SPECKLE, seed=1) -> np.ndarray:
 
 def speckle(azimuth_rad, n_bins, beam_width_rad, generator) -> np.ndarray:
     """Return (B, K) float32 speckle of mean 1."""
-    out = np.ones((len(azimuth_rad), n_bins), np.float32)
-    multiply_by_speckle(out, FieldCorrelation(tuple(azimuth_rad.tolist()), beam_width_rad), generator)
-    return out
+    correlated = FieldCorrelation(tuple(azimuth_rad.tolist()), beam_width_rad)
+    echo = np.ones((len(azimuth_rad), n_bins), np.float32)
+    return look_at(echo, correlated_field(correlated, n_bins, generator))
 
 
 def beam_matrix(azimuth_rad, beam_width_rad, series=()) -> np.ndarray:
