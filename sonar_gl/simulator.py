@@ -185,7 +185,8 @@ class Simulator:
         seed, ping_number : of the noise; the same two give the same bytes, so count ping_number in a loop of your own
         labels : whether to find the body with the strongest echo in each bin: `Ping.body_id` and the other labels
         bodies : of this ping alone, names to (4, 4) world_from_body, or to None for a body that is absent; the name of
-            a model of several links, of `Scene.models`, stands for all of them
+            a model of several links, of `Scene.models`, stands for all of them. A pose may scale by one factor for all
+            axes: `sonar_gl.pose(x=5) @ np.diag([2, 2, 2, 1])` has a body twice as large; bubbles keep their size
         time_s : seconds, at which plumes of bubbles are seen; None = 0
         velocity : (6,) vx vy vz, m/s, wx wy wz, rad/s, of the sonar in its frame, that of the housing, while sound
             travels, as docs/acoustics.md says; None = it stands
@@ -268,7 +269,8 @@ class Simulator:
         Parameters
         ----------
         bodies : names to (4, 4) world_from_body, or to None to take a body away, until it is placed again. The name of
-            a model of several links, of `Scene.models`, stands for all of them, and the pose is the model's
+            a model of several links, of `Scene.models`, stands for all of them, and the pose is the model's. A pose may
+            scale, as in `ping`
         """
         with self._run.drawing():
             self.world.place(bodies)

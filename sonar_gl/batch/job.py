@@ -91,6 +91,11 @@ VariedMetres = Annotated[
 VariedRadians = Annotated[
     Any, BeforeValidator(partial(_check_varied, low=-6.283, high=6.283)), Field(description=RADIANS)
 ]
+VariedScale = Annotated[
+    Any,
+    BeforeValidator(partial(_check_varied, low=0.01, high=100.0)),
+    Field(description="1 is the size in the scene"),
+]
 CountsChanges = Annotated[dict, BeforeValidator(_check_counts)]
 # one name alone is a list of one
 PathFiles = Annotated[
@@ -120,7 +125,7 @@ class SonarTable(Table):
 
 
 class MovedTable(Table):
-    """Bodies whose pose or reflectivity changes from ping to ping.
+    """Bodies whose pose, size or reflectivity changes from ping to ping.
 
     Attributes
     ----------
@@ -132,6 +137,7 @@ class MovedTable(Table):
     path : files of poses over time, one of which the bodies follow in each trajectory run; None: they stay in place
     x_m, y_m, z_m : shifts in the world
     roll_rad, pitch_rad, yaw_rad : rotations about the body's own axes
+    scale : times the size, about the point about which the bodies turn
     there : probability that the bodies are present
     reflectivity : reflectivity of the bodies
     """
@@ -148,6 +154,7 @@ class MovedTable(Table):
     roll_rad: VariedRadians = 0.0
     pitch_rad: VariedRadians = 0.0
     yaw_rad: VariedRadians = 0.0
+    scale: VariedScale = None
     there: Annotated[float, Field(ge=0, le=1)] = 1.0
     reflectivity: VariedShare = None
 

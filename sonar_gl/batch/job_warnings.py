@@ -115,6 +115,7 @@ def _place(requests: BatchRequests, index: int) -> str:
 def _moves(table: MovedTable) -> bool:
     """Return whether a table lets bodies be elsewhere, or absent, in some ping."""
     is_elsewhere = any(np.any(getattr(table, key)) for key in SHIFT_AND_TURN)
+    is_elsewhere |= table.scale not in (None, 1)
     return bool(is_elsewhere or table.there < 1 or table.one_of or table.rests_on or table.path)
 
 

@@ -128,7 +128,8 @@ class OpticalCamera:
             if name not in poses and name not in plumes:
                 raise unknown_body_error(name, {*poses, *plumes})
             if name in poses:
-                poses[name] = pose if pose is None else check_pose(pose, f"the pose of body {name!r}")
+                what = f"the pose of body {name!r}"
+                poses[name] = pose if pose is None else check_pose(pose, what, may_scale=True)
         return poses
 
     def __enter__(self):

@@ -137,6 +137,7 @@ class MovedBodies:
                 draws = _draw_move(source, table)
                 is_present = source.random() < table.there and chosen in (None, n)
                 mu = None if table.reflectivity is None else draw_value(source, table.reflectivity)
+                scale = 1.0 if table.scale is None else draw_value(source, table.scale)
                 path = paths[draw_whole(source, [0, len(paths) - 1])] if paths else None
                 for name in group:  # of two tables the later one counts, also where it changes nothing
                     for found in (bodies, reflectivity, taken):
@@ -146,7 +147,7 @@ class MovedBodies:
                 home = self.known[group[0]].pose if path is None else self._home(table, group)
                 place = home if path is None else path.at(time_s)
                 is_present = is_present and place is not None
-                move = _Move(group, home, place)
+                move = _Move(group, home, place, scale)
                 if is_present and table.clearance_m is not None:
                     # a stream of its own: no other draw depends on how many these are
                     more = generator(self._seed, CLEARANCE_STREAM, number, k, n)
@@ -155,7 +156,8 @@ class MovedBodies:
                 if not is_present:
                     bodies |= dict.fromkeys(group)
                     continue
-                if draws.any() or mu is not None or table.rests_on is not None or path is not None:
+                is_moved = draws.any() or scale != 1.0 or table.rests_on is not None or path is not None
+                if is_moved or mu is not None:
                     bodies |= _moved_poses(self.known, move, table, draws, bodies)
                 if mu is not None:
                     reflectivity |= {name: mu for name in group if hasattr(self.known[name], "reflectivity")}
@@ -184,11 +186,13 @@ class _Move(NamedTuple):
     names : of the bodies
     home, place : (4, 4) pose of what they are in or about, in the scene and in this ping before shift and turn; the
         same if they follow no path
+    scale : times their size, about the origin of that pose
     """
 
     names: list[str]
     home: np.ndarray
     place: np.ndarray
+    scale: float
 
 
 def _groups(table: MovedTable, known: list[str], models: Iterable[str]) -> list[list[str]]:
@@ -235,7 +239,9 @@ def _moved_poses(known: dict, move: _Move, table: MovedTable, draws: np.ndarray,
 def _drawn_poses(known: dict, move: _Move, draws: np.ndarray) -> dict:
     """Return the poses of bodies that move together, wherever the floor is."""
     shift, turn = np.split(draws, 2)
-    moved = move.place @ make_pose(0, 0, 0, *turn) @ np.linalg.inv(move.home)
+    turned = make_pose(0, 0, 0, *turn)
+    turned[:3, :3] *= move.scale
+    moved = move.place @ turned @ np.linalg.inv(move.home)
     moved[:3, 3] += shift
     return {name: moved @ known[name].pose for name in move.names}
 

@@ -27,18 +27,27 @@ MAX_UNWRAPPED_RAD = 1e5  # 16000 turns, of which float64 still resolves 1e-11 ra
 ROUNDED = 1e-3  # deviation from a rotation that rounding may have caused, and hardly a scale
 MAX_POSITION_M = 1e9  # of an origin; squares of much greater lengths overflow
 MAX_TIME_S = 1e10  # Unix time with room to spare
+MAX_SCALE = 1e3  # and its inverse: of what is smaller or larger, lengths are in other units
+UNSCALED = 1e-4  # the square of a scale that differs from 1 by less is that of rotations, as rounded
 SINGLE_PRECISION_M = 2.0**16  # from here on float32 holds places to 8 mm, about a bin, or less finely
 
 
-def check_pose(matrix, what: str = "pose") -> np.ndarray:
+def check_pose(matrix, what: str = "pose", may_scale: bool = False) -> np.ndarray:
     """Return a rigid (4, 4) float64 `world_from_x`; raise an `Error` if the matrix is not rigid.
 
     Warns of one in float32 so far from the origin, as in UTM, that its place has been rounded.
+
+    may_scale : allow one scale for all axes, as of a body that is larger or smaller than its mesh
     """
     hint = QUATERNION_HINT if is_position_and_quaternion(matrix) else POSE_HINT
     out = frozen_array(matrix, np.float64, (4, 4), what, hint)
     # Python floats take a sixth of NumPy's time for nine numbers, and this runs at every ping.
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = out.tolist()
+    if may_scale and abs((square := a * a + b * b + c * c) - 1) >= UNSCALED:
+        scale = math.sqrt(square)
+        if not 1 / MAX_SCALE <= scale <= MAX_SCALE:
+            raise Error(f"{what} must scale by {1 / MAX_SCALE:g}..{MAX_SCALE:g} (got {scale:g}; give metres)")
+        a, b, c, d, e, f, g, h, i = (number / scale for number in (a, b, c, d, e, f, g, h, i))
     lengths = a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1
     angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
     turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
@@ -46,9 +55,14 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
         advice = "scale the mesh instead"
         if deviation < ROUNDED and turn > 0:
             advice = "if it is a product of many poses, or float32, rounding adds up: make it anew by sonar_gl.pose"
-        raise Error(
-            f"{what} must be a rotation and a translation (its 3x3 part scales, shears or reflects; {advice})"
-        )
+        if may_scale:
+            must, does = (
+                "a rotation, a translation and one scale for all axes",
+                "shears, reflects or stretches",
+            )
+        else:
+            must, does = "a rotation and a translation", "scales, shears or reflects"
+        raise Error(f"{what} must be {must} (its 3x3 part {does}; {advice})")
     if last != [0.0, 0.0, 0.0, 1.0]:
         raise Error(f"{what} must have the last row 0 0 0 1 (got {last})")
     if max(abs(x), abs(y), abs(z)) > MAX_POSITION_M:
@@ -61,6 +75,23 @@ def check_pose(matrix, what: str = "pose") -> np.ndarray:
             f"poses in float32 round places {SINGLE_PRECISION_M:.0f} m or more from the origin, by up to 4 mm "
             "there and half a metre at northings of UTM (make them in float64 from the start, or take a nearer origin)"
         )
+    return out
+
+
+def scales_of(poses: np.ndarray) -> np.ndarray:
+    """Return the scales (n,) of (n, 4, 4) poses, exactly 1 of rigid ones.
+
+    >>> scales_of(np.array([np.eye(4), np.diag([2.0, 2.0, 2.0, 1.0])])).tolist()
+    [1.0, 2.0]
+    """
+    squares = (poses[:, :3, 0] ** 2).sum(axis=1)
+    return np.sqrt(np.where(np.abs(squares - 1) < UNSCALED, 1.0, squares))
+
+
+def unscaled(matrix: np.ndarray) -> np.ndarray:
+    """Return a (4, 4) pose without its scale."""
+    out = matrix.copy()
+    out[:3, :3] /= scales_of(matrix[None])[0]
     return out
 
 

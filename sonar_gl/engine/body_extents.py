@@ -9,6 +9,7 @@ import numpy as np
 
 from sonar_gl.acoustics.boundary import cos_of_greatest_lobe, specular_lobe
 from sonar_gl.core.compiled import compiled
+from sonar_gl.core.poses import scales_of
 from sonar_gl.engine.reception import Reception
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 
@@ -102,6 +103,7 @@ def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
     greatest_cosine = cos_of_greatest_lobe(body.roughness_rad)
     greatest = float(specular_lobe(greatest_cosine, body.specular, body.roughness_rad))
     surface, to_sonar = body.surface, pose[:3, :3].T @ body_pose[:3, :3]
+    scale = scales_of(body_pose[None])[0]
     if len(surface.faces) > MAX_CLIPPED_FACES:
         return greatest
     corners = np.asarray(surface.vertices, np.float64)[np.asarray(surface.faces)]
@@ -115,7 +117,7 @@ def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
         if not is_flat.all():
             return greatest
     corners = corners @ to_sonar.T + pose[:3, :3].T @ (body_pose[:3, 3] - pose[:3, 3])
-    normals = normals @ to_sonar.T
+    normals = normals @ to_sonar.T / scale
     apart_m = (normals * corners[:, 0]).sum(axis=1)  # of the planes of the faces from the sonar
     # a face is nearest where the perpendicular meets it, if it does so between the edges
     along = np.roll(corners, -1, axis=1) - corners
@@ -323,8 +325,13 @@ class BodyExtents:
         out = np.zeros(self.n_bodies + 1)
         centres = np.einsum("nij,nj->ni", state.poses[:, :3, :3], self._columns.centres)
         centres += state.poses[:, :3, 3] - pose[:3, 3]
-        spheres = np.ascontiguousarray(centres @ pose[:3, :3]), self._columns.radii_m
-        bodies = *spheres, self._columns.areas_m2, self.greatest_backscatter(state) * state.present
+        scales = scales_of(state.poses)
+        spheres = np.ascontiguousarray(centres @ pose[:3, :3]), scales * self._columns.radii_m
+        bodies = (
+            *spheres,
+            scales**2 * self._columns.areas_m2,
+            self.greatest_backscatter(state) * state.present,
+        )
         _fill_greatest(bodies, _limits_of(reception), reception.gain, reception.elevation_table, out)
         return out
 

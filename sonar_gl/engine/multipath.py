@@ -24,11 +24,12 @@ from sonar_gl.beamform.kernels.image_sources import (
     expect_imaged,
 )
 from sonar_gl.beamform.kernels.views import ViewIndex, view_index
+from sonar_gl.core.poses import scales_of
 from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.engine.body_counts import count_bodies
 from sonar_gl.engine.reception import reception_of
 from sonar_gl.engine.stage import Stage, StageCache
-from sonar_gl.scene.reflectors import PlanarReflector, planar_reflectors
+from sonar_gl.scene.reflectors import MIN_AREA_M2, PlanarReflector, planar_reflectors
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 from sonar_gl.sonar.fan import ColumnWidths
@@ -417,9 +418,14 @@ class ImageSources:
         and offset in the sonar's frame, the offset positive.
         """
         pose, state = ping.pose, ping.state
-        found = [one for one in self._reflectors if one.body is None or state.present[one.body]]
-        if not found:
+        squares = np.append(
+            np.where(state.present, scales_of(state.poses) ** 2, 0.0), 1.0
+        )  # last: of no body
+        areas_m2 = [one.area_m2 * squares[-1 if one.body is None else one.body] for one in self._reflectors]
+        large = [n for n, area_m2 in enumerate(areas_m2) if area_m2 >= MIN_AREA_M2]
+        if not large:
             return []
+        found, areas_m2 = [self._reflectors[n] for n in large], [areas_m2[n] for n in large]
         normals, offsets_m = zip(*(one.in_world(state.poses) for one in found), strict=True)
         rotated = np.column_stack([np.array(normals) @ pose[:3, :4], offsets_m])
         distances_m = rotated[:, 4] - rotated[:, 3]
@@ -438,7 +444,7 @@ class ImageSources:
         counts = MULTIPATH_GAIN * brightest * reflected > self._tolerance * echo
         counts &= np.abs(distances_m) > BIAS_M
         kept: list[int] = []
-        for n in sorted(np.flatnonzero(counts), key=lambda n: -found[n].area_m2):
+        for n in sorted(np.flatnonzero(counts), key=lambda n: -areas_m2[n]):
             # an image source is that of all surfaces in its plane: a second one would return their echo twice
             beside = [m for m in kept if found[m].body is not None and found[n].body is not None]
             if not any(_are_alike(planes[m], planes[n]) for m in beside):

@@ -7,13 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sonar_gl.core.poses import scales_of
 from sonar_gl.engine.flow import PingSetup
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.sonar import Sonar
 
 CHECK_EVERY = 24  # pings: a check costs nearly another one
 CHECK_MOVE = 0.05  # of range_max_m
-CHECK_BRIGHTER = 2.0  # times the reflectivity of a body
+CHECK_BRIGHTER = 2.0  # times the reflectivity of a body, or its area
 CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture in elevation
 
 
@@ -57,9 +58,9 @@ class ReplanTrigger:
 
     def _brighter(self, before: SceneState, after: SceneState, in_both: np.ndarray) -> float:
         """Return by how many times at most a body that is present in two states returns more, or less, in the other."""
-        if after.reflectivity is before.reflectivity:
-            return 1.0
-        own, other = (self._backscatter(state)[in_both] for state in (before, after))
+        own, other = (scales_of(state.poses[in_both]) ** 2 for state in (before, after))
+        if after.reflectivity is not before.reflectivity:
+            own, other = own * self._backscatter(before)[in_both], other * self._backscatter(after)[in_both]
         high, low = np.maximum(own, other), np.minimum(own, other)
         return float(np.where(high > low, high / np.maximum(low, 1e-12), 1.0).max(initial=1.0))
 
@@ -92,7 +93,8 @@ def _motion(before, after) -> tuple[float, float]:
         return 0.0, 0.0
     apart = after[:, :3, 3] - before[:, :3, 3]
     moved = math.sqrt(float((apart * apart).sum(axis=1).max()))
-    return moved, _angle_of((before[:, :3, :3] * after[:, :3, :3]).sum(axis=(1, 2)).min())
+    traces = (before[:, :3, :3] * after[:, :3, :3]).sum(axis=(1, 2)) / (scales_of(before) * scales_of(after))
+    return moved, _angle_of(traces.min())
 
 
 def _motion_of_one(before, after) -> tuple[float, float]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from sonar_gl.core.checks import check_kind, check_number, is_number, shown, unknown_body_error
 from sonar_gl.core.errors import Error, closed_error, other_process_error
-from sonar_gl.core.poses import MAX_TIME_S, check_pose
+from sonar_gl.core.poses import MAX_TIME_S, check_pose, unscaled
 from sonar_gl.core.worker import Job, SecondThread, ThreadLock
 from sonar_gl.engine.threads import n_threads
 from sonar_gl.raster.engine import RasterEngine, make_engine
@@ -140,8 +140,8 @@ class World:
 
         Parameters
         ----------
-        bodies : None, or names to (4, 4) world_from_body, or to None for a body that is absent; the name of a model of
-            the scene stands for all that is in it
+        bodies : None, or names to (4, 4) world_from_body, which may scale by one factor for all axes, or to None for a
+            body that is absent; the name of a model of the scene stands for all that is in it
         time_s : seconds, None for 0
         with_bubbles : of the scene's plumes, if there are any
         reflectivity : None, or names of bodies to μ, 0..1
@@ -232,14 +232,14 @@ class World:
         poses, present, plume_poses = state.poses.copy(), state.present.copy(), dict(self._plume_poses)
         for name, pose in poses_of_parts(bodies, self._parts_of).items():
             if name in plume_poses:
-                plume_poses[name] = (
-                    pose if pose is None else check_pose(pose, f"the pose of bubbles {name!r}")
-                )
+                if pose is not None:  # bubbles have the size that they have
+                    pose = unscaled(check_pose(pose, f"the pose of bubbles {name!r}", may_scale=True))
+                plume_poses[name] = pose
                 continue
             index = self._index_of(name, "bodies", plume_poses, self._models)
             present[index] = pose is not None
             if pose is not None:
-                poses[index] = check_pose(pose, f"the pose of body {name!r}")
+                poses[index] = check_pose(pose, f"the pose of body {name!r}", may_scale=True)
         return SceneState(poses, present), plume_poses
 
     def _parts_of(self, name) -> dict[str, np.ndarray]:

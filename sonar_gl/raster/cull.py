@@ -95,9 +95,19 @@ class DetailLimits(NamedTuple):
     echo_error: float
 
 
+# The square of a scale that differs from 1 by less is that of rotations, as rounded: of `sonar_gl.core.poses`, whose
+# constants these functions must not read.
+UNSCALED = 1e-4
 # Distance of the near plane's furthest corner over that of the plane: at most 13.2, tan 85 deg / cos 30 deg up at the
 # side of the widest sector.
 CORNER = 14
+
+
+@inlined
+def _square_of_scale(m):
+    """Return the square of the scale of a (3, 4) matrix, exactly 1 of one that only turns and moves."""
+    square = m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0] + m[2, 0] * m[2, 0]
+    return 1.0 if abs(square - 1.0) < UNSCALED else square
 
 
 @compiled
@@ -136,10 +146,11 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
             for j in range(4):
                 rows[n, 4 * i + j] = m[i, j]
         if closed[n] != 0:
-            inside = True
+            inside, square = True, _square_of_scale(m)
+            near = CORNER * near_m / math.sqrt(square)
             for j in range(3):
-                sonar = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])
-                inside &= bounds[n, 0, j] - CORNER * near_m < sonar < bounds[n, 1, j] + CORNER * near_m
+                sonar = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3]) / square
+                inside &= bounds[n, 0, j] - near < sonar < bounds[n, 1, j] + near
             if inside:
                 outside = False
     return outside
@@ -164,16 +175,18 @@ def _find_body_spans(matrices, bounds, extremes, out):
     sonar = np.empty(3)  # in the body's frame
     for n in range(matrices.shape[0]):
         m, near2, far2 = matrices[n], 0.0, 0.0
+        square = _square_of_scale(m)
+        scale = math.sqrt(square)
         for j in range(3):
-            sonar[j] = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])
+            sonar[j] = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3]) / square
             near2 += max(bounds[n, 0, j] - sonar[j], sonar[j] - bounds[n, 1, j], 0.0) ** 2
         for k in range(extremes.shape[1]):
             apart2 = 0.0
             for j in range(3):
                 apart2 += (extremes[n, k, j] - sonar[j]) ** 2
             far2 = max(far2, apart2)
-        out[n + 1, 0] = 1.0 / math.sqrt(far2) if far2 > 0.0 else np.inf
-        out[n + 1, 1] = 1.0 / math.sqrt(near2) if near2 > 0.0 else np.inf
+        out[n + 1, 0] = 1.0 / (scale * math.sqrt(far2)) if far2 > 0.0 else np.inf
+        out[n + 1, 1] = 1.0 / (scale * math.sqrt(near2)) if near2 > 0.0 else np.inf
 
 
 @compiled
@@ -236,16 +249,21 @@ def _find_planes(planes_uv, planes):
 
 @inlined
 def _turn_to_body(sector, matrices, b, planes, m, eye, normals):
-    """Fill m, (3, 4) sector_from_body, and the sonar's place and the planes' normals in the frame of body `b`."""
+    """Fill m, (3, 4) sector_from_body, and the sonar's place and the planes' normals in the frame of body `b`.
+
+    Return the scale of the body: lengths in its frame are as many times as long.
+    """
     for i in range(3):
         for j in range(4):
             m[i, j] = 0.0
             for k in range(3):
                 m[i, j] += sector[i, k] * matrices[b, k, j]
+    square = _square_of_scale(m)
     for j in range(3):
-        eye[j] = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3])
+        eye[j] = -(m[0, j] * m[0, 3] + m[1, j] * m[1, 3] + m[2, j] * m[2, 3]) / square
         for k in range(5):
             normals[k, j] = planes[k, 0] * m[0, j] + planes[k, 1] * m[1, j] + planes[k, 2] * m[2, j]
+    return math.sqrt(square)
 
 
 @inlined
@@ -314,11 +332,11 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
         if not present[b]:
             continue
         echo_error = 0.0 if rows[b, LOBE] > 0.0 else most_echo_error
-        _turn_to_body(sector, matrices, b, planes, m, eye, normals)
+        scale = _turn_to_body(sector, matrices, b, planes, m, eye, normals)
         covered = False
         i, end = roots[b, 0], roots[b, 1]
         while i < end:
-            nearest = _look_at(box, i, eye, ray)
+            nearest = scale * _look_at(box, i, eye, ray)
             if _is_beyond(box, i, ray, normals) or nearest > far_m:
                 i = skip[i]
                 continue
@@ -326,10 +344,11 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
                 covered = True
                 _cover(bounds[b], m, near_m, inverse, corner[0], corner[1], extent)
             if not leaf[i]:
-                if nearest - error_m[i] > range_max_m:  # no echo, but for the last samples of a floor
-                    enough = error_m[i] <= BEYOND * error_per_m * nearest
+                wrong_m = scale * error_m[i]
+                if nearest - wrong_m > range_max_m:  # no echo, but for the last samples of a floor
+                    enough = wrong_m <= BEYOND * error_per_m * nearest
                 else:
-                    enough = error_m[i] <= error_per_m * max(nearest, near_m)
+                    enough = wrong_m <= error_per_m * max(nearest, near_m)
                     own, stood = _form(moment[i], ray), _form(whole[i], ray)
                     enough &= abs(own - stood) <= echo_error * stood
                 if not enough:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.acoustics.boundary import coherent_loss, rayleigh_reflection
+from sonar_gl.core.poses import scales_of
 from sonar_gl.scene.materials import Material, material
 from sonar_gl.scene.scene import Body, Scene
 
@@ -42,9 +43,9 @@ class PlanarReflector:
         """Return the normal and offset in the world, for (n, 4, 4) world_from_body poses of all bodies."""
         if self.body is None:
             return self.normal, self.offset_m
-        pose = poses[self.body]
-        normal = pose[:3, :3] @ self.normal
-        return normal, self.offset_m + float(normal @ pose[:3, 3])
+        pose, scale = poses[self.body], scales_of(poses[[self.body]])[0]
+        normal = pose[:3, :3] @ self.normal / scale
+        return normal, float(scale * self.offset_m + normal @ pose[:3, 3])
 
 
 def tabulate_reflection(reflects, roughness_m: float, wavenumber_rad_m: float) -> np.ndarray:
@@ -84,12 +85,13 @@ def _coefficient_of_body(body: Body, wavenumber_rad_m: float) -> np.ndarray | No
     return tabulate_reflection(float(np.mean(body.reflectivity)), DEFAULT_ROUGHNESS_M, wavenumber_rad_m)
 
 
-def find_planes(surface) -> list[tuple[np.ndarray, float, float]]:
+def find_planes(surface, least_m2: float = MIN_AREA_M2) -> list[tuple[np.ndarray, float, float]]:
     """Return unit normal, offset, metres, and area, m², of the planes that hold enough of a mesh, the largest first.
 
     Parameters
     ----------
     surface : has (V, 3) `vertices`, metres, and (F, 3) `faces`
+    least_m2 : area of a plane that is enough, if it is a share of MIN_AREA_SHARE, too
     """
     faces = np.asarray(surface.faces)
     if len(faces) > MAX_FACES:
@@ -104,7 +106,7 @@ def find_planes(surface) -> list[tuple[np.ndarray, float, float]]:
     valid = area > 0
     normals, area, a = normals[valid] / (2 * area[valid, None]), area[valid], a[valid]
     offsets, out = (normals * a).sum(axis=1), []
-    enough_m2 = max(MIN_AREA_M2, MIN_AREA_SHARE * area.sum())
+    enough_m2 = max(least_m2, MIN_AREA_SHARE * area.sum())
     tolerance_m = COPLANAR * (1 + np.abs(a).max(initial=0.0))
     # The largest face need not lie in the largest plane, as where a wall is meshed finely. Cells twice as wide as the
     # tolerances part a plane among 16 of them at most, so that one of these has this share of its area.
@@ -135,6 +137,8 @@ def planar_reflectors(
 ) -> list[PlanarReflector]:
     """Return the water's surface and the planes of bodies, those that reflect anything coherently.
 
+    Planes of less than MIN_AREA_M2 are among them, since bodies may be larger in a ping.
+
     Parameters
     ----------
     scene : Scene
@@ -149,6 +153,6 @@ def planar_reflectors(
     for index, body in enumerate(scene.bodies):
         coefficient = _coefficient_of_body(body, wavenumber_rad_m)
         if coefficient is not None and coefficient.max() > 0:
-            planes = find_planes(body.surface)
+            planes = find_planes(body.surface, least_m2=0.0)
             out += [PlanarReflector(index, *plane[:2], coefficient, plane[2]) for plane in planes]
     return out

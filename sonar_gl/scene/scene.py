@@ -515,6 +515,6 @@ def poses_of_parts(
             own[name] = pose
             continue
         if pose is not None:
-            pose = check_pose(pose, f"the pose of model {name!r}")
+            pose = check_pose(pose, f"the pose of model {name!r}", may_scale=True)
         out |= {part: pose if pose is None else pose @ at for part, at in parts.items()}
     return out | own

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sonar_gl.core.poses import scales_of
 from sonar_gl.scene.scene import Body
 
 MAX_SHEET_FACES = 64  # of one patch by far, which is drawn whole
@@ -71,13 +72,14 @@ def draw_near(sheet: Sheet, matrix: np.ndarray, reach_m: float, row: np.ndarray)
     matrix : (3, 4) sonar_from_body, about the middle of the rectangle's box
     row : of `place_bodies`; its first 12 floats, the same matrix, are replaced if the rectangle reaches further
     """
-    half_sides = sheet.half_sides.tolist()
+    half_sides, scale = sheet.half_sides.tolist(), float(scales_of(matrix[None])[0])
+    reach_m /= scale  # in the body's frame
     if max(half_sides) <= reach_m:
         return
     turned, moved = matrix[:, :3], matrix[:, 3]
     along = turned @ sheet.axes.T
     middles, scales, is_whole = [], [], True
-    for foot, half in zip((-moved @ along).tolist(), half_sides, strict=True):
+    for foot, half in zip((-moved @ along / scale**2).tolist(), half_sides, strict=True):
         low, high = max(foot - reach_m, -half), min(foot + reach_m, half)
         if low >= high:
             return
