@@ -179,6 +179,16 @@ def test_poses_of_bodies_hold_for_one_image(optical):
     assert 100 < (moved[1] > 0).sum() < 3000
 
 
+def test_a_body_may_be_larger_than_its_mesh(optical):
+    """Light does not depend on the size."""
+    place = sg.pose(5, 0.5, 0, 0.2, 0.3, 0.4)
+    got = optical(HERE, {"small": place @ np.diag([2, 2, 2, 1]), "wall": None})
+    larger = sg.Body("small", SMALL.copy().apply_scale(2), place, 0.9)
+    with OpticalCamera(sg.Scene([larger]), CAMERA) as other:
+        for one, two in zip(got, other(HERE), strict=True):
+            np.testing.assert_array_equal(one, two)
+
+
 def test_an_empty_scene_has_the_background_colour():
     with OpticalCamera(sg.Scene([]), CAMERA) as one:
         rgb, depth = one(HERE)
@@ -355,8 +365,8 @@ def test_messages(optical):
             "bodies must be bodies of the scene (got 'wal'; did you mean 'wall' or 'ball' or 'small'?)",
         ),
         (
-            lambda: optical(HERE, {"wall": 2 * HERE}),
-            "the pose of body 'wall' must be a rotation and a translation",
+            lambda: optical(HERE, {"wall": np.diag([1.0, 2.0, 1.0, 1.0])}),
+            "the pose of body 'wall' must be a rotation, a translation and one scale",
         ),
     ):
         with pytest.raises(sg.Error) as caught:

@@ -427,8 +427,8 @@ def one_body():
 KNOWN = "bodies must be bodies of the scene (got 'diver'; known are plain, smooth)"
 NO_DICT = 'bodies must be a dict (got list; such as {"diver": sonar_gl.pose(x=5)}, or None for "not there")'
 TURNED = (
-    "the pose of body 'plain' must be a rotation and a translation (its 3x3 part scales, shears or reflects; "
-    "scale the mesh instead)"
+    "the pose of body 'plain' must be a rotation, a translation and one scale for all axes (its 3x3 part shears, "
+    "reflects or stretches; scale the mesh instead)"
 )
 
 
@@ -444,7 +444,7 @@ def test_invalid_bodies_raise_errors(one_body, way):
     before = one_body.ping(POSE).intensity
     assert message_of({"diver": sg.pose(5)}) == KNOWN
     assert message_of({"plain": sg.pose(9), "diver": None}) == KNOWN
-    assert message_of({"plain": 2 * np.eye(4)}) == TURNED
+    assert message_of({"plain": np.diag([1.0, 2.0, 1.0, 1.0])}) == TURNED
     assert message_of({"plain": [1, 2, 3]}) == (
         "the pose of body 'plain' must have shape (4, 4) (got (3,); sonar_gl.pose makes one from x y z roll pitch yaw)"
     )
