@@ -16,6 +16,7 @@ from sonar_gl.batch.job_settings import load_settings
 from sonar_gl.batch.random_streams import NOISE_STREAM, VARY_STREAM, generator, seed_of
 from sonar_gl.batch.trajectory_runs import load_trajectories, runs_of
 from sonar_gl.batch.variation import check_varied_fields, draw_fields
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.noise.settings import Noise
 
@@ -112,6 +113,9 @@ class BatchRequests(Sequence):
         random = generator(self.job.seed, VARY_STREAM, drawn)
         # the order of these draws decides the bytes of data sets
         water, noise = draw_fields(random, vary.water), draw_fields(random, vary.noise)
+        with collected_warnings():  # the ends of these ranges were warned of
+            water = replace(self.acoustics.water, **water) if water else None
+            noise = replace(self.noise, **noise)
         bodies, reflectivity = {}, {}
         if vary.bodies:
             moved = self.scenes.moved_bodies(run.scene)
@@ -124,8 +128,8 @@ class BatchRequests(Sequence):
             vehicle_pose,
             bodies,
             reflectivity,
-            replace(self.acoustics.water, **water) if water else None,
-            replace(self.noise, **noise),
+            water,
+            noise,
         )
 
     def noise_seed(self, sonar: str) -> int:

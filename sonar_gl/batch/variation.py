@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from contextlib import nullcontext
 from dataclasses import asdict, fields
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from sonar_gl.core.checks import check_choice
 from sonar_gl.core.errors import Error, nearest_of_many
 from sonar_gl.core.names import matching_names
 from sonar_gl.core.poses import pose as make_pose
+from sonar_gl.core.warn import collected_warnings
 from sonar_gl.noise.settings import Noise, check_moved_amounts
 from sonar_gl.scene.extent import body_bounds, gap_m
 from sonar_gl.scene.scene import Body, Scene
@@ -45,7 +47,9 @@ def check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
                 if value != int(value):
                     raise Error(f"{where}: vary.noise.{WHOLE_NOISE} must be whole numbers (got {value:g})")
                 values[WHOLE_NOISE] = int(value)
-            build(type(base), asdict(base) | values, f"{where}: vary.{name}")
+            # a level that is too high is so at the upper end, and need not be warned of twice
+            with collected_warnings() if (name, end) == ("noise", 0) else nullcontext():
+                build(type(base), asdict(base) | values, f"{where}: vary.{name}")
     if vary.water and acoustics.sonar_sound_speed_m_s is not None:
         raise Error(
             f"{where}: vary.water and acoustics.sonar_sound_speed_m_s exclude each other (got both; ranges "

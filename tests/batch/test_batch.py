@@ -2571,3 +2571,14 @@ def _gltf(height_m):
 
 def test_the_pings_in_progress_are_those_that_a_sequence_may_have_begun():
     assert IN_PROGRESS == 2 * sequence.BATCH + 1
+
+
+@pytest.mark.parametrize("low_db", [-80, 3])
+def test_a_varied_noise_that_is_too_high_is_warned_of_once(tmp_path, low_db):
+    """By the upper end of its range; each ping, whose level is another, warned of its own."""
+    path = write_plain_job(tmp_path, 4, 4, f"[vary.noise]\nambient_db = [{low_db}, 5]\n")
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        requests = BatchRequests(read_job(path))
+        assert len({request.noise.ambient_db for request in requests}) == 4
+    assert [str(one.message).partition(" exceeds")[0] for one in found] == ["noise: ambient_db = 5"]
