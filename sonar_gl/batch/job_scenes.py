@@ -18,7 +18,7 @@ from sonar_gl.batch.job_settings import can_only_be_file
 from sonar_gl.batch.variation import MovedBodies, check_floors
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
-from sonar_gl.core.names import names_of
+from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING
@@ -170,8 +170,13 @@ class JobScenes(Sequence):
                     f"{job.scenes[index]!r})"
                 )
         known = dict.fromkeys(name for one in contents for name in one.names)
+        bodies = list(dict.fromkeys(name for one in contents for name in one.bodies))
         for k, table in enumerate(job.vary.bodies):
-            check_patterns(table.names, known, f"{job.where}: vary.bodies[{k}].names")
+            where = f"{job.where}: vary.bodies[{k}]"
+            check_patterns(table.names, known, f"{where}.names")
+            for key in ("scale", "reflectivity"):
+                if getattr(table, key) is not None and not matching_names(table.names, bodies):
+                    raise Error(f"{where}.{key} must be that of bodies (got bubbles alone, which have none)")
 
 
 def _load_for_job(what: str, folders: list[Path], skip_missing: bool) -> Scene:

@@ -44,7 +44,7 @@ class PingTable:
                 bodies = [(scene, name) for name in matching_names(table.names, contents.names)]
                 moved |= dict.fromkeys(bodies)
                 if table.reflectivity is not None:
-                    with_reflectivity |= dict.fromkeys(bodies)
+                    with_reflectivity |= dict.fromkeys(one for one in bodies if one[1] in contents.bodies)
         self.moved, self.with_reflectivity = list(moved), list(with_reflectivity)
         widths = {"status": 1, "scene": 1, "time_s": 1, "pose": MATRIX}
         for name, width in (("has_echo", 1), ("echo", 1), ("error_estimate", 1), ("sampling", 2)):

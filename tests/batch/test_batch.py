@@ -66,6 +66,7 @@ from tests.support.batches import (
     write_plain_job,
 )
 from tests.support.command_line import BODY, WALL, run
+from tests.support.errors import error_of
 from tests.support.inline_pool import use_inline_pool
 from tests.support.wall_and_rods import wall
 
@@ -2582,3 +2583,23 @@ def test_a_varied_noise_that_is_too_high_is_warned_of_once(tmp_path, low_db):
         requests = BatchRequests(read_job(path))
         assert len({request.noise.ambient_db for request in requests}) == 4
     assert [str(one.message).partition(" exceeds")[0] for one in found] == ["noise: ambient_db = 5"]
+
+
+def test_bubbles_have_neither_a_reflectivity_nor_a_size(tmp_path):
+    """Where they move with bodies, the store holds that of the bodies alone; a table of bubbles alone is refused."""
+    path = write_job(tmp_path, 1, "")
+    diver = BODY.format("diver", "3 0 -0.2", "0.2 0.2 0.1")
+    diver = diver.replace("</link>", "<sonar_gl:bubbles name='breath'/></link>")
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{diver}{WALL}</world></sdf>')
+    plain = read_job(path).plain
+
+    def found(names, **more):
+        return BatchRequests(Job(**plain | {"vary": {"bodies": [{"names": names, **more}]}}))
+
+    table = PingTable(found(["diver", "breath"], reflectivity=0.5, x_m=0.1))
+    assert table.moved == [(0, "diver"), (0, "breath")]
+    assert table.with_reflectivity == [(0, "diver")]
+    for key in ("reflectivity", "scale"):
+        assert error_of(lambda key=key: PingTable(found(["breath"], **{key: 0.5}))) == (
+            f"{path}: vary.bodies[0].{key} must be that of bodies (got bubbles alone, which have none)"
+        )
