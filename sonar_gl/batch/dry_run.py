@@ -112,6 +112,9 @@ def _views_text(size: str, views: list[HardView], requests: BatchRequests) -> li
     if enclosed := [view for view in views if view.around]:
         some = _some_text(enclosed, len(views), "the sonar in a body or below a floor", requests)
         lines.append(f"{some}, in or below {enclosed[0].around!r}")
+    if crowded := [view for view in views if requests[view.number].unplaced]:
+        some = _some_text(crowded, len(views), "a body without a clear place, which is absent", requests)
+        lines.append(f"{some}, {requests[crowded[0].number].unplaced[0]!r} (clearance_m)")
     return lines
 
 

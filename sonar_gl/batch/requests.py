@@ -32,6 +32,7 @@ class BatchRequest:
     time_s : time of transmission
     vehicle_pose : (4, 4) world_from_vehicle
     bodies, reflectivity : changes in this ping, as in `PingRequest`
+    unplaced : names of bodies that are absent since no place was clear
     water : Water of this ping, or None for that of the job
     noise : noise of this ping
     """
@@ -42,6 +43,7 @@ class BatchRequest:
     vehicle_pose: np.ndarray
     bodies: dict
     reflectivity: dict
+    unplaced: list[str]
     water: Water | None
     noise: Noise
 
@@ -116,11 +118,12 @@ class BatchRequests(Sequence):
         with collected_warnings():  # the ends of these ranges were warned of
             water = replace(self.acoustics.water, **water) if water else None
             noise = replace(self.noise, **noise)
-        bodies, reflectivity = {}, {}
+        bodies, reflectivity, unplaced = {}, {}, []
         if vary.bodies:
             moved = self.scenes.moved_bodies(run.scene)
             on_path_s = run.time_on_trajectory_s(number)
-            bodies, reflectivity = moved.draw(drawn, random, run.numbers.start, on_path_s)
+            drawn_for = drawn, random, run.numbers.start, on_path_s
+            bodies, reflectivity, unplaced = moved.draw(*drawn_for)
         return BatchRequest(
             number,
             run.scene,
@@ -128,6 +131,7 @@ class BatchRequests(Sequence):
             vehicle_pose,
             bodies,
             reflectivity,
+            unplaced,
             water,
             noise,
         )

@@ -119,7 +119,7 @@ class MovedBodies:
 
     def draw(
         self, number: int, random: np.random.Generator, run_start: int, time_s: float
-    ) -> tuple[dict, dict]:
+    ) -> tuple[dict, dict, list[str]]:
         """Draw the changes of a ping.
 
         Parameters
@@ -132,8 +132,9 @@ class MovedBodies:
         Returns
         -------
         bodies, reflectivity : as in `PingRequest`
+        unplaced : names of those that are absent since no place was clear
         """
-        bodies, reflectivity, taken = {}, {}, {}  # taken: what keeps clear of each other
+        bodies, reflectivity, taken, unplaced = {}, {}, {}, {}  # taken: what keeps clear of each other
         for k, (table, paths, groups) in enumerate(self._tables):
             source = generator(self._seed, PATH_STREAM, run_start, k) if paths else random
             chosen = draw_whole(source, [0, len(groups) - 1]) if table.one_of and groups else None
@@ -144,7 +145,7 @@ class MovedBodies:
                 scale = 1.0 if table.scale is None else draw_value(source, table.scale)
                 path = paths[draw_whole(source, [0, len(paths) - 1])] if paths else None
                 for name in group:  # of two tables the later one counts, also where it changes nothing
-                    for found in (bodies, reflectivity, taken):
+                    for found in (bodies, reflectivity, taken, unplaced):
                         found.pop(name, None)
                 if not group:
                     continue
@@ -157,6 +158,8 @@ class MovedBodies:
                     more = generator(self._seed, CLEARANCE_STREAM, number, k, n)
                     draws = _clear_draws(self.known, move, table, draws, more, taken)
                     is_present = draws is not None
+                    if not is_present:
+                        unplaced |= dict.fromkeys(group)
                 if not is_present:
                     bodies |= dict.fromkeys(group)
                     continue
@@ -165,7 +168,7 @@ class MovedBodies:
                     bodies |= _moved_poses(self.known, move, table, draws, bodies)
                 if mu is not None:
                     reflectivity |= {name: mu for name in group if hasattr(self.known[name], "reflectivity")}
-        return bodies, reflectivity
+        return bodies, reflectivity, list(unplaced)
 
     def _home(self, table: MovedTable, group: list[str]) -> np.ndarray:
         """Return the pose in the scene of what follows a path: of the model if several parts of one do, else of a body.

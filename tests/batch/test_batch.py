@@ -604,7 +604,7 @@ def test_a_body_takes_along_what_is_named_after_it():
     scene = sg.Scene([replace(wall(), name=name) for name in names])
     table = MovedTable(names=["*"], apart=True, x_m=[0.0, 1.0])
     job = SimpleNamespace(seed=0, vary=SimpleNamespace(bodies=[table]))
-    poses, _ = MovedBodies(scene, job, paths=[[]]).draw(0, generator(0, VARY_STREAM, 0), 0, 0.0)
+    poses, *_ = MovedBodies(scene, job, paths=[[]]).draw(0, generator(0, VARY_STREAM, 0), 0, 0.0)
     fish, tail, crab = (poses[name][0, 3] for name in names)
     assert fish == tail != crab
 
@@ -710,6 +710,8 @@ def test_a_body_without_a_clear_place_is_absent(tmp_path):
 
     def found(*tables):
         (request,) = BatchRequests(Job(**plain | {"vary": {"bodies": list(tables)}}))
+        lacking = [name for name, pose in request.bodies.items() if pose is None]
+        assert request.unplaced == [name for name in lacking if tables[-2].get("there") != 0.0]
         assert request.reflectivity == {
             name: 0.5 for name, pose in request.bodies.items() if pose is not None
         }
@@ -2603,3 +2605,17 @@ def test_bubbles_have_neither_a_reflectivity_nor_a_size(tmp_path):
         assert error_of(lambda key=key: PingTable(found(["breath"], **{key: 0.5}))) == (
             f"{path}: vary.bodies[0].{key} must be that of bodies (got bubbles alone, which have none)"
         )
+
+
+def test_a_dry_run_counts_pings_in_which_a_body_has_no_clear_place(tmp_path):
+    path = write_plain_job(tmp_path, 4, 4)
+    boxes = BOX + BOX.replace("box_1", "box_2")
+    (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{boxes}{WALL}</world></sdf>')
+    text = path.read_text()
+    path.write_text(text + '[[vary.bodies]]\nnames = ["box_*"]\napart = true\nclearance_m = 0.1\n')
+    status, out, err = run("batch", path, "--dry-run", "--workers", "1")
+    assert status == 0, err
+    assert (
+        "  4 of these 4 pings have a body without a clear place, which is absent, such as ping 0, sonar at "
+        "'0 0 0 0 0 -0.2', 'box_2' (clearance_m)\n"
+    ) in out
