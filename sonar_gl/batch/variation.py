@@ -134,7 +134,8 @@ class MovedBodies:
         bodies, reflectivity : as in `PingRequest`
         unplaced : names of those that are absent since no place was clear
         """
-        bodies, reflectivity, taken, unplaced = {}, {}, {}, {}  # taken: what keeps clear of each other
+        # taken: what keeps clear of each other; gone: what is absent though it follows a path
+        bodies, reflectivity, taken, gone, unplaced = {}, {}, {}, {}, {}
         for k, (table, paths, groups) in enumerate(self._tables):
             source = generator(self._seed, PATH_STREAM, run_start, k) if paths else random
             chosen = draw_whole(source, [0, len(groups) - 1]) if table.one_of and groups else None
@@ -145,13 +146,13 @@ class MovedBodies:
                 scale = 1.0 if table.scale is None else draw_value(source, table.scale)
                 path = paths[draw_whole(source, [0, len(paths) - 1])] if paths else None
                 for name in group:  # of two tables the later one counts, also where it changes nothing
-                    for found in (bodies, reflectivity, taken, unplaced):
+                    for found in (bodies, reflectivity, taken, gone, unplaced):
                         found.pop(name, None)
                 if not group:
                     continue
                 home = self.known[group[0]].pose if path is None else self._home(table, group)
                 place = home if path is None else path.at(time_s)
-                is_present = is_present and place is not None
+                is_present = is_present and place is not None and table.rests_on not in gone
                 move = _Move(group, home, place, scale)
                 if is_present and table.clearance_m is not None:
                     # a stream of its own: no other draw depends on how many these are
@@ -162,6 +163,8 @@ class MovedBodies:
                         unplaced |= dict.fromkeys(group)
                 if not is_present:
                     bodies |= dict.fromkeys(group)
+                    if path is not None:
+                        gone |= dict.fromkeys(group)
                     continue
                 is_moved = draws.any() or scale != 1.0 or table.rests_on is not None or path is not None
                 if is_moved or mu is not None:

@@ -14,7 +14,7 @@ from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.poses import read_poses
 from tests.support.batches import BOX, FLOOR, files_of, make_all, write_job, write_plain_job
-from tests.support.command_line import WALL, run
+from tests.support.command_line import BODY, WALL, run
 
 HEADER = "t,x,y,z,roll,pitch,yaw\n"
 # there are pings at its first and at its last time
@@ -216,6 +216,26 @@ def test_a_body_on_a_path_rests_on_a_floor(job):
         lowest_m = pose[2, 3] - 0.1 * np.abs(pose[2, :3]).sum()  # of a box with edges of 0.2 m
         assert lowest_m == pytest.approx(-0.4 - 0.05, abs=1e-9)
         assert np.array_equal(np.delete(pose, 11), np.delete(free[number].bodies["box_1"], 11))  # all but z
+
+
+def test_what_rests_on_a_body_is_absent_while_the_path_of_that_has_not_begun_or_is_over(job):
+    """It lay where that body is in the scene, and hung in the water."""
+    boat = BODY.format("boat", "3 0 -0.3", "1 1 0.1")
+    (job.parent / "tank.sdf").write_text(
+        f'<sdf version="1.9"><world name="tank">{BOX}{boat}{FLOOR}</world></sdf>'
+    )
+    table, resting = {"names": ["boat"], "path": "still.csv"}, {"names": ["box_1"], "rests_on": "boat"}
+    (job.parent / "still.csv").write_text(HEADER + "0.4,3,0,0.5,0,0,0\n1.4,3,0,0.5,0,0,0\n")
+    for request in requests_of(job, table, resting):
+        boat_pose, box_pose = request.bodies["boat"], request.bodies["box_1"]
+        assert (boat_pose is None) == (box_pose is None) == (not 0.4 <= request.time_s <= 1.4)
+        if box_pose is not None:
+            assert box_pose[2, 3] == pytest.approx(0.5 + 0.05 + 0.1, abs=1e-9)
+    # one that no path takes away has its place in the scene, where other variants of a floor may be
+    for request in requests_of(job, {"names": ["boat"], "there": 0.0}, resting):
+        assert request.bodies["box_1"][2, 3] == pytest.approx(-0.3 + 0.05 + 0.1, abs=1e-9)
+    for request in requests_of(job, table, {"names": ["boat"], "there": 0.0}, resting):
+        assert request.bodies["box_1"] is not None
 
 
 # ---- files ------------------------------------------------------------------------------------------
