@@ -50,15 +50,18 @@ def find_edges(work, first, last, n, are_joined):
         low, high = v_highest[below], v_lowest[m]
         turn = along[below] - along[m]
         meet = (rest[m] - rest[below]) / turn
+        apart = abs(rest[m] - rest[below] - turn * (low + high) / 2)  # half way between the rays
         noise = SAME * (max(q[below], q[m]) + abs(along[below]))  # of a plane and of its slope
         are_met = (q[below] > 0.0) & (q[m] > 0.0)
-        is_edge = are_met & (low < meet) & (meet < high) & (abs((meet - (low + high) / 2) * turn) > noise)
+        is_edge = are_met & (low < meet) & (meet < high) & (apart > noise)
         edge[m] = meet if is_edge else NO_EDGE
         # TILT differs from row to row
         slope, slope_below = along[m] - along_u[m] * tilt[m], along[below] - along_u[below] * tilt[below]
         change, steepness = abs(slope - slope_below), max(q[m], q[below]) + abs(slope)
-        repeated[m] = 1.0 if are_met & (change <= ALIKE * steepness) else 0.0
-        flat[m] = 1.0 if are_met & (change <= ONE_FACE * steepness) else 0.0
+        # a smooth surface leaves its plane by no more than its slope changes; a parallel one behind it is another
+        is_one = are_met & (apart <= noise + ALIKE * steepness * (high - low))
+        repeated[m] = 1.0 if is_one & (change <= ALIKE * steepness) else 0.0
+        flat[m] = 1.0 if is_one & (change <= ONE_FACE * steepness) else 0.0
     edge[0] = edge[n] = NO_EDGE
     repeated[0] = repeated[n] = flat[0] = flat[n] = (
         1.0  # those at both ends may have met more of a plane than is drawn
