@@ -1,18 +1,26 @@
 """The search for the sampling level of a ping, among levels that keep the tolerance, break it, or do not fit."""
 
+import warnings
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import sonar_gl as sg
+from sonar_gl.analysis.verify import ping_error
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import level_search
 from sonar_gl.engine.error_model import Judgement
 from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.stage import StageCache
+from sonar_gl.sonar.sampling import sampling_at
+from tests.support.sampled_scenes import IDEAL, SONAR, ball, level_of
+from tests.support.wall_and_rods import row_of_rods, wall
 
-SONAR = sg.Sonar("search", 900e3, 16, 40, 45.0, 20.0, 3.0, 0.5, 20.0)
+pytestmark = pytest.mark.usefixtures("few_first_rays")
+
+FEW_BEAMS = sg.Sonar("search", 900e3, 16, 40, 45.0, 20.0, 3.0, 0.5, 20.0)
 MOST = 20  # levels that there are
 
 
@@ -63,7 +71,7 @@ def total_of(level):
 @pytest.fixture
 def search_with():
     """Return a function of a Model to a LevelSearch that asks it."""
-    with sg.Simulator(sg.Scene([]), SONAR, sg.Acoustics.ideal()) as simulator:
+    with sg.Simulator(sg.Scene([]), FEW_BEAMS, sg.Acoustics.ideal()) as simulator:
         search = simulator.run.sampler.search
 
         def of(model):
@@ -141,7 +149,7 @@ def test_a_ping_alone_takes_the_first_level_that_keeps_the_tolerance(
 ):
     monkeypatch.setattr(level_search, "level_of", lambda sonar, n_samples: 8)
     model = Model([needed], [fits])
-    with sg.Simulator(sg.Scene([]), SONAR, sg.Acoustics.ideal(), tolerance=0.5) as simulator:
+    with sg.Simulator(sg.Scene([]), FEW_BEAMS, sg.Acoustics.ideal(), tolerance=0.5) as simulator:
         search = simulator.run.sampler.search
         search.model, search.finest = model, MOST
         chosen = search.choose(Setup(0))
@@ -170,3 +178,55 @@ def test_a_plan_has_the_finest_level_that_fits_in_all_pings(search_with, needed,
     assert (plan.level, plan.met) == (level, met)
     assert (plan.error_estimate, plan.worst_body_estimate) == (0.01 * (max(of) + 1), 0.1 / (min(of) + 1))
     assert plan.worst_body == min(of)
+
+
+def test_a_smaller_tolerance_takes_more_samples_and_errs_less():
+    scene, sonar = sg.Scene([ball()]), replace(SONAR, n_bins=100)
+    truth = sg.reference_ping(scene, sonar, np.eye(4), IDEAL, error=0.02)
+    levels, errors = [], []
+    for tolerance in (0.03, 0.01, 0.003):
+        with sg.Simulator(scene, sonar, IDEAL, tolerance=tolerance) as simulator:
+            ping = simulator.ping(np.eye(4))
+            levels.append(level_of(simulator))
+        errors.append(ping_error(ping, truth))
+        assert errors[-1] <= tolerance
+        assert 0 < ping.error_estimate <= tolerance
+        assert ping.meta["tolerance"] == tolerance
+    assert levels == sorted(set(levels)) and errors == sorted(errors, reverse=True)
+
+
+def test_the_level_depends_on_the_scene():
+    """A wall needs the coarsest level, a row of rods a fine one."""
+    with sg.Simulator(sg.Scene([wall()]), SONAR, IDEAL) as simulator:
+        simulator.ping(np.eye(4))
+        assert level_of(simulator) == 0
+    with sg.Simulator(sg.Scene(row_of_rods(8)), SONAR, IDEAL) as simulator:
+        simulator.ping(np.eye(4))
+        assert level_of(simulator) > 8
+
+
+@pytest.mark.parametrize("tolerance, radius", [(0.05, 0.008), (0.01, 0.02)])
+def test_a_body_missed_by_the_first_samples_is_found(tolerance, radius):
+    """The ball is too small for the coarse lattice, and the only source of echo."""
+    speck = sg.Scene([ball(x=18, radius=radius)])
+    with sg.Simulator(speck, SONAR, IDEAL, sampling_at(SONAR, 4)) as simulator, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert not simulator.ping(np.eye(4)).intensity.any()
+    with sg.Simulator(speck, SONAR, IDEAL, tolerance=tolerance) as simulator:
+        ping = simulator.ping(np.eye(4))
+        assert simulator.run.sampler.plan.met
+    truth = sg.reference_ping(
+        sg.Scene([ball(x=18, radius=radius)]),
+        replace(SONAR, n_beams=1, azimuth_fov_deg=1.0),
+        np.eye(4),
+        IDEAL,
+        0.1,
+    )
+    # the single beam receives all of the echo, as does every beam within half a degree
+    assert ping.intensity.max(axis=0).sum() == pytest.approx(truth.intensity.sum(), rel=0.1)
+
+
+def test_an_empty_scene_needs_no_samples():
+    with sg.Simulator(sg.Scene([]), SONAR) as simulator, pytest.warns(UserWarning, match="no bodies"):
+        ping = simulator.ping(np.eye(4))
+    assert ping.error_estimate == 0.0
