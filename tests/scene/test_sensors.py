@@ -8,6 +8,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl.core.poses import pose
+from tests.support.sdf_texts import ROUNDING, SHAPE, link, model
 
 
 def approx(angle_deg):
@@ -20,7 +21,6 @@ CAMERA = (
     "<camera><horizontal_fov>{fov}</horizontal_fov><image><width>{width}</width><height>{height}</height></image>"
     "<clip><near>{near}</near><far>{far}</far></clip></camera>"
 )
-SHAPE = "<collision name='c'><geometry><box/></geometry><laser_retro>255</laser_retro></collision>"
 
 
 def scan(
@@ -315,3 +315,44 @@ def test_a_sensor_made_of_what_it_is_not_is_refused(field, value, message):
     with pytest.raises(sg.Error) as caught:
         sg.SonarSensor(**{"name": "sonar", "model": "rov", "pose": np.eye(4)} | {field: value})
     assert str(caught.value).startswith(message)
+
+
+SENSOR = "<pose>0 0 1 0 0 0</pose>"
+
+
+def test_a_custom_sensor_overrides_one_named_sonar_and_its_link_is_no_body(read_text):
+    scene = read_text(
+        model(link(f"<sensor name='my_sonar' type='depth'>{SENSOR}</sensor>"), "first")
+        + model(
+            "<pose>5 0 0 0 0 1.5707963267948966</pose>"
+            + link(f"<pose>1 0 0 0 0 0</pose><sensor name='s' type='custom'>{SENSOR}</sensor>"),
+            "second",
+        )
+    )
+    np.testing.assert_allclose(scene.sonar_pose, pose(5, 1, 1, yaw=np.pi / 2), rtol=0, atol=ROUNDING)
+    assert [b.name for b in scene.bodies] == ["first"]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "name"),
+    [
+        ("<sensor name='front_SONAR' type='ray'/>", "m"),
+        ("<sensor name='s' type='depth'><plugin name='p' filename='libnps_multibeam.so'/></sensor>", "m"),
+        ("<sensor name='s' type='depth'><plugin name='FLS' filename='x'/></sensor>", "m"),
+        ("<sensor name='imu' type='imu'/><sensor name='s' type='depth'/>", "p900_multibeam"),
+    ],
+)
+def test_sensors_named_after_a_sonar(read_text, sensor, name):
+    scene = read_text(model(link("<pose>1 2 3 0 0 0</pose>" + sensor), name))
+    np.testing.assert_array_equal(scene.sonar_pose, pose(1, 2, 3))
+    assert scene.bodies == ()
+
+
+def test_a_camera_is_no_sonar(read_text):
+    scene = read_text(model(link("<sensor name='camera' type='camera'/><sensor name='imu' type='imu'/>")))
+    assert scene.sonar_pose is None and len(scene.bodies) == 1
+
+
+def test_the_mesh_of_the_sonar_is_not_read(read_text):
+    shape = "<collision name='c'><geometry><mesh><uri>model://none/a.stl</uri></mesh></geometry></collision>"
+    assert read_text(model(link("<sensor name='s' type='custom'/>", shape=shape))).bodies == ()

@@ -12,7 +12,6 @@ import sonar_gl as sg
 from sonar_gl.core.poses import pose
 from sonar_gl.scene.load import load_scene
 from sonar_gl.scene.materials import material
-from sonar_gl.scene.sdf.resources import SEARCH_PATHS
 from sonar_gl.scene.sdf.xacro import split_arguments
 from tests.support.command_line import run
 from tests.support.loaded_scenes import boxes_of, error_message, load
@@ -29,12 +28,6 @@ ARM = f"""<robot name="arm">
   {{}}
 </robot>"""
 XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
-
-
-@pytest.fixture(autouse=True)
-def no_environment(monkeypatch):
-    for key in (*SEARCH_PATHS, "AMENT_PREFIX_PATH"):
-        monkeypatch.delenv(key, raising=False)
 
 
 def write(path, text):
