@@ -12,20 +12,24 @@ from pathlib import Path
 
 import numba
 import pytest
+import trimesh
 import xarray as xr
 
 from sonar_gl.batch import pool as pool_module
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import read_job
 from sonar_gl.batch.manifest import Manifest
-from sonar_gl.batch.pool import Pool
-from tests.support.batches import LABELS, files_of, make_all, write_job, write_plain_job
+from sonar_gl.batch.pool import IN_PROGRESS, Pool
+from sonar_gl.batch.steps import begin
+from sonar_gl.engine import sequence
+from tests.support.batch_pings import N_SMALL
+from tests.support.batches import LABELS, MORE, files_of, make_all, open_batch, write_job, write_plain_job
 from tests.support.command_line import run
 from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 N, PART = 48, 4
-MORE = "[coco]\nheight = 60\n[ros]\n"
+OUTPUTS = "[coco]\nheight = 60\n[ros]\n"
 
 
 def start(*arguments, before=(), **environment):
@@ -74,7 +78,7 @@ def _serve_the_number_of_threads(*arguments):
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory):
-    return write_job(tmp_path_factory.mktemp("job"), N, LABELS + MORE)
+    return write_job(tmp_path_factory.mktemp("job"), N, LABELS + OUTPUTS)
 
 
 @pytest.fixture(scope="module")
@@ -354,3 +358,80 @@ def test_the_error_of_a_process_without_memory_is_one_sentence(tmp_path):
         line,
     )
     assert "Traceback" not in err
+
+
+def test_existing_files_are_not_overwritten(small, tmp_path):
+    job, out = small / "job.toml", small / "out"
+    before = files_of(out)
+    status, _, err = run("batch", job, "--out", out)
+    assert status == 2 and "must hold no batch yet (continue it by --resume" in err
+    changed = tmp_path / "job.toml"
+    write_job(tmp_path, N_SMALL, LABELS + MORE)
+    changed.write_text(changed.read_text().replace("seed = 5", "seed = 6"))
+    status, _, err = run("batch", changed, "--out", out, "--resume")
+    assert status == 2 and "(changed: seed;" in err
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("years")
+    status, _, err = run("batch", job, "--out", tmp_path / "full", "--resume")
+    assert status == 2 and "must be an empty folder, or one with a batch to --resume" in err
+    assert files_of(out) == before
+    status, shown, _ = run("batch", job, "--out", out, "--resume")  # nothing is left to do
+    assert (status, shown) == (0, f"{out}: {N_SMALL} of {N_SMALL} pings\n")
+    assert files_of(out) == before
+
+
+def test_resuming_names_the_files_that_have_changed(tmp_path):
+    """Files of the job, meshes, included models and what these name; in and beside the folder of the job."""
+    folder, meshes = tmp_path / "job", tmp_path / "meshes"
+    (meshes / "rock").mkdir(parents=True)
+    folder.mkdir()
+    job = write_job(folder, 2, "")
+    job.write_text('resource_paths = ["../meshes"]\n' + job.read_text())
+    trimesh.creation.box((1, 20, 20)).export(folder / "wall.obj")
+    for name, data in _gltf(1.0).items():
+        (meshes / "rock" / name).write_bytes(data)
+    (meshes / "rock" / "model.sdf").write_text(
+        "<sdf version='1.9'><model name='rock'><link name='l'><collision name='c'><geometry><mesh><uri>model.gltf</uri>"
+        "</mesh></geometry><laser_retro>9</laser_retro></collision></link></model></sdf>"
+    )
+    rock = "<include><uri>model://rock</uri><pose>4 1 0 0 0 0</pose></include></world>"
+    text = (folder / "tank.sdf").read_text().replace("</world>", rock)
+    wall = "<box><size>1 20 20</size></box>"
+    (folder / "tank.sdf").write_text(text.replace(wall, "<mesh><uri>wall.obj</uri></mesh>", 1))
+    batch = open_batch(job, tmp_path / "out")
+    begin(batch).save(batch.folder)
+
+    def changed():
+        status, out, err = run("batch", job, "--out", tmp_path / "out", "--resume", "--workers", "1")
+        assert (status, out) == (2, "")
+        return re.search(r"resumed with the job that began it \(changed: (.*); restore that, or", err)[1]
+
+    buffer = "gltf_buffer_1.bin"  # the vertices
+    changes = {
+        folder / "wall.obj": ("wall.obj", lambda data: data.replace(b"v 0.5", b"v 0.6")),
+        folder / "tank.sdf": ("tank.sdf", lambda data: data + b"<!-- another one -->"),
+        folder / "small.toml": ("small.toml", lambda data: data + b"# another one"),
+        meshes / "rock" / "model.sdf": (
+            None,
+            lambda data: data.replace(b"</uri>", b"</uri><scale>1 1 2</scale>"),
+        ),
+        meshes / "rock" / buffer: (None, lambda _: _gltf(1.5)[buffer]),
+    }
+    for path, (name, change) in changes.items():
+        before = path.read_bytes()
+        path.write_bytes(change(before))
+        assert changed() == (name or str(path))
+        path.write_bytes(before)
+    for path in (folder / "wall.obj", folder / "small.toml"):
+        path.write_bytes(changes[path][1](path.read_bytes()))
+    job.write_text(job.read_text().replace("seed = 5", "seed = 6"))
+    assert changed() == "seed, small.toml, wall.obj"
+
+
+def _gltf(height_m):
+    """Return the files of a box, by name."""
+    return trimesh.creation.box((1, 1, height_m)).scene().export(file_type="gltf")
+
+
+def test_the_pings_in_progress_are_those_that_a_sequence_may_have_begun():
+    assert IN_PROGRESS == 2 * sequence.BATCH + 1

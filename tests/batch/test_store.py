@@ -1,6 +1,8 @@
 """The store of a batch: where pings are in its files, whatever the size of parts and chunks."""
 
 import json
+import shutil
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -13,7 +15,7 @@ import sonar_gl as sg
 from sonar_gl.batch import ping_table, store
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job, read_job
-from sonar_gl.batch.manifest import Manifest, table_name
+from sonar_gl.batch.manifest import Manifest, check, table_name
 from sonar_gl.batch.ping_table import (
     MADE,
     NOT_MADE,
@@ -25,8 +27,11 @@ from sonar_gl.batch.ping_table import (
 )
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.schema import ArraySpec, bin_layers
+from sonar_gl.batch.steps import create_store, finalize
 from sonar_gl.batch.store import PingStore, SonarGroup, consolidate, create_arrays, shared_files
-from tests.support.batches import write_job
+from tests.support.batch_pings import N_SMALL
+from tests.support.batches import files_of, make_all, open_batch, write_job
+from tests.support.command_line import run
 
 N = 30
 SONAR = sg.Sonar("small", 900e3, 3, 5, 40.0, 10.0, 2.0, 0.5, 8.5)
@@ -376,3 +381,59 @@ def test_a_damaged_table_of_a_part_is_named_with_its_cure(varied, tmp_path, dama
 
 def _poses_alone(requests, table, sonar):
     return [one for one in ping_variables(requests, table, sonar) if one.name == "pose"]
+
+
+def test_the_root_of_a_set_with_several_sonars_names_their_groups(small):
+    root = xr.open_dataset(small / "out" / "pings.zarr")
+    assert not root.variables and root.attrs["sonars"] == ["level", "upright"]
+    for name in root.attrs["sonars"]:
+        group = xr.open_dataset(small / "out" / "pings.zarr", group=name)
+        assert group.attrs["sonar"] == name and group.sizes["ping"] == N_SMALL
+        assert {**root.attrs, **group.attrs} == {**group.attrs, "sonars": root.attrs["sonars"]}
+
+
+@pytest.mark.slow
+def test_a_set_from_before_its_root_named_the_groups_is_checked_and_resumed(small, tmp_path):
+    copy = shutil.copytree(small / "out", tmp_path / "copy")
+    root, folder = copy / "pings.zarr" / "zarr.json", Folder(copy)
+    values = json.loads(root.read_bytes())
+    del values["attributes"]["sonars"]
+    folder.put_json("pings.zarr/zarr.json", values)
+    done = folder.get_record("done.json", "")
+    done["files"]["pings.zarr/zarr.json"] = folder.checksum("pings.zarr/zarr.json")
+    folder.put_record("done.json", done)
+    before = files_of(copy)
+    assert check(folder, nullcontext) == []
+    assert run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")[0] == 0
+    assert files_of(copy) == before
+    for name in ("done.json", "parts/0000001.json"):
+        (copy / name).unlink()
+    assert run("batch", small / "job.toml", "--out", copy, "--resume", "--workers", "1")[0] == 0
+    assert files_of(copy) == files_of(small / "out")
+
+
+@pytest.mark.slow
+def test_one_line_plots_a_ping_of_one_sonar(tmp_path):
+    write_job(tmp_path)
+    text = (tmp_path / "job.toml").read_text()
+    begin, end = text.index('[[sonars]]\nname = "upright"'), text.index("[[poses]]")
+    (tmp_path / "job.toml").write_text(text[:begin] + text[end:])
+    make_all(tmp_path / "job.toml", tmp_path / "out")
+    mesh = xr.open_dataset(tmp_path / "out" / "pings.zarr").intensity[0].plot()
+    assert mesh.get_array().size == 24 * 80
+
+
+@pytest.mark.slow
+def test_partial_files_are_removed_from_a_store(small, tmp_path):
+    """A process that is killed leaves them, while the store is created or the batch is finalized."""
+    out = shutil.copytree(small / "out", tmp_path / "out")
+    before = files_of(out)
+    store = out / "pings.zarr"
+    partial = [store / name / "zarr.1.partial" for name in ("", "level", "level/echo")]
+    batch = open_batch(small / "job.toml", out)
+    for step in (create_store, finalize):
+        for path in partial:
+            path.write_bytes(b"half")
+        step(batch)
+        assert not [path for path in partial if path.exists()]
+    assert files_of(out) == before
