@@ -15,6 +15,7 @@ from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.poses import read_poses
 from tests.support.batches import BOX, FLOOR, files_of, make_all, write_job, write_plain_job
 from tests.support.command_line import BODY, WALL, run
+from tests.support.inline_pool import use_inline_pool
 
 HEADER = "t,x,y,z,roll,pitch,yaw\n"
 # there are pings at its first and at its last time
@@ -314,7 +315,8 @@ def test_bytes_do_not_depend_on_processes_and_a_changed_path_is_not_resumed(job,
     assert status == 2 and "(changed: swim.csv; restore that, or give another folder)" in err
 
 
-def test_a_dry_run_counts_pings_in_which_a_body_swims_over_the_sonar(job, tmp_path):
+def test_a_dry_run_counts_pings_in_which_a_body_swims_over_the_sonar(job, tmp_path, monkeypatch):
+    use_inline_pool(monkeypatch)
     (tmp_path / "over.csv").write_text(HEADER + "0,0,0,0,0,0,0\n0.9,0,0,0,0,0,0\n")
     write_plain_job(tmp_path, 10, 4, FOLLOWING.replace("swim", "over"))
     status, out, err = run("batch", job, "--dry-run", "--workers", "1")

@@ -287,6 +287,7 @@ def test_compiled_functions_use_their_own_sources():
 # Constants of one name in several modules that mean different things: name: why.
 OF_ONE_NAME = {
     "POINTS": "kernels use constants of their own file alone",
+    "UNSCALED": "kernels use constants of their own file alone",
     "EXTENSIONS": "of GL, of EGL, and of SDF",
 }
 
