@@ -18,21 +18,24 @@ from sonar_gl.core.checks import text_beside
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.engine.error_model import Judgement
-from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
+from sonar_gl.engine.flow import DrawnPing, PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.replan_trigger import ReplanTrigger, have_come_or_gone
 from sonar_gl.engine.stage import StageCache
-from sonar_gl.sonar.sampling import LEVELS_PER_HALF, WORST_BODY, ToleranceWarning
+from sonar_gl.sonar.sampling import ERROR_RATE, LEVELS_PER_HALF, WORST_BODY, ToleranceWarning
 from sonar_gl.sonar.sonar import Sonar
 
 CHECK_CHANGE = 0.2  # of the whole echo
-# A ping takes the time of its samples, of one for each bin of each beam (of BARE_BIN without a matched filter), and of
-# FIXED_SAMPLES; with a check of its error CHECK_COST times as long. By the pings of `tools/bench live`, BARE_BIN by
-# such loops of profile `ideal`.
-FIXED_SAMPLES, BARE_BIN, CHECK_COST = 45_000, 0.15, 2.1
+# A ping takes the time of the share of its samples that `Stage.coverage` states, of FILTERED_BIN for each bin of each
+# beam (of BARE_BIN without a matched filter), more by COVERED_BIN of that where the coverage is whole, and of
+# FIXED_SAMPLES; with a check of its error CHECK_COST times as long. By the pings of `tools/bench live`, BARE_BIN by the
+# same loops with profile `ideal`.
+FIXED_SAMPLES, CHECK_COST = 10_000, 2.1
+FILTERED_BIN, BARE_BIN, COVERED_BIN = 0.34, 0.02, 0.8
 # No ping may cost more than MOST_COST times the usual one of the RECENT ones up to it, and the first one with finer
 # samples, which takes new memory, no more than MOST_FINER_COST times.
 MOST_COST, MOST_FINER_COST, RECENT = 2.3, 1.65, 100
+LIKE_COST = 0.1  # share by which a ping may cost more or less than was expected
 # So many pings with echo, each near the one before, are a loop that must not stall. Fewer are those of a program that
 # looks at bodies now and then, or has others in each ping; or of a loop that has just begun.
 LOOP_PINGS = 10
@@ -61,6 +64,7 @@ class Choice:
     ----------
     level : sampling level of the last ping, or of the first to come
     finest : the finest level that is known to fit, where the sonar is
+    coverage : of the last ping that was checked, or cost other than expected
     plan : the Plan behind it, by the last check; None before the first ping
     last_check : LastCheck; None before the first ping
     planned : `_view_of` each ping for which the samples are fixed; None while they are chosen ping by ping
@@ -69,6 +73,7 @@ class Choice:
 
     level: int
     finest: int
+    coverage: float = 1.0
     plan: Plan | None = None
     last_check: LastCheck | None = None
     planned: frozenset[int] | None = None
@@ -118,7 +123,6 @@ class AdaptiveSampling:
         self.tolerance = self._model.tolerance
         self._trigger, self._has_warned = ReplanTrigger(self._sonar, self._model.greatest_backscatter), False
         self.choice, self.history = Choice(self.search.usual, self.search.finest), PingHistory()
-        self._fixed_cost = fixed_cost(self._sonar, stages.acoustics)
         self._resolution = None, None  # the last level, and its Resolution
 
     @property
@@ -164,7 +168,7 @@ class AdaptiveSampling:
             return None
         costs = self.history.costs
         is_first_echo = choice.last_check.total <= 0 < total and len(costs) < LOOP_PINGS
-        if not (resolution.check or is_first_echo or self._can_check(choice.level, costs)):
+        if not (resolution.check or is_first_echo or self._can_check(choice.level, received.coverage, costs)):
             self.choice = choice if choice.is_due else replace(choice, is_due=True)
             return None
         tried = self._model.tried(resolution.stage, drawn.view, received.direct)
@@ -173,7 +177,9 @@ class AdaptiveSampling:
         if is_first_echo and not is_kept:
             return self._search(setup)
         check = LastCheck(setup, total, self.history.n_pings)
-        checked = replace(choice, plan=judged.plan, last_check=check, is_due=False)
+        checked = replace(
+            choice, coverage=received.coverage, plan=judged.plan, last_check=check, is_due=False
+        )
         if is_kept:
             self.choice = checked
             self._warn_if_unmet(checked.plan)
@@ -196,8 +202,8 @@ class AdaptiveSampling:
         found = self.search.find_coarsest(setup, self.choice.level)
         check = LastCheck(setup, found.total, self.history.n_pings)
         self._warn_if_unmet(found.plan)
-        self.choice = Choice(found.plan.level, found.finest, found.plan, check)
-        self.history = self.history._replace(costs=(self._cost(found.plan.level),))
+        self.choice = Choice(found.plan.level, found.finest, found.coverage, found.plan, check)
+        self.history = self.history._replace(costs=(self._cost(found.plan.level, found.coverage),))
         return replace(self.resolution, is_final=True)
 
     def _moved(self, choice: Choice, level: int) -> Choice:
@@ -207,26 +213,84 @@ class AdaptiveSampling:
         check: above the tolerance, if it asked for finer samples.
         """
         wanted, most = max(0, min(level, choice.finest)), MOST_FINER_COST * _usual(self.history.costs)
-        finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n) <= most]
+        finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n, choice.coverage) <= most]
         # coarser where none is finer: the next finer level costs less than the check that asked for it
         level = (finer or [wanted])[-1]
         finest = self.search.finest if level < choice.level else choice.finest
-        if self._can_check(level, self._costs_with(level)):
+        if self._can_check(level, choice.coverage, self._costs_with(level, choice.coverage)):
             # made by this ping, since the next one is checked, and may have to make the coarser stage
             self._model.stage_at(level)
         return replace(choice, level=level, finest=finest, is_due=True)
 
-    def _cost(self, level: int) -> float:
-        """Return about what a ping costs without a check of its error, in samples of the whole fan."""
+    def _cost(self, level: int, coverage: float) -> float:
+        """Return about what a ping costs without a check of its error, in samples with an echo.
+
+        coverage : as of `Stage.coverage`
+        """
         stage = self.resolution.stage
         per_count = stage.fan.n_samples / stage.sampling.count(self._sonar)
         # each ping asks for that of its own level, which the stage has at hand
         sampling = stage.sampling if level == self.choice.level else self._model.sampling_at(level)
-        return per_count * sampling.count(self._sonar) + self._fixed_cost
+        return self._cost_of(per_count * sampling.count(self._sonar), coverage)
 
-    def _can_check(self, level: int, costs: Sequence[float]) -> bool:
+    def _cost_of(self, n_samples: float, coverage: float) -> float:
+        return cost_of(self._sonar, self._stages.acoustics, n_samples, coverage)
+
+    def _can_check(self, level: int, coverage: float, costs: Sequence[float]) -> bool:
         """Return whether a ping of a level, whose cost is the last of these, may cost a check of its error, too."""
-        return CHECK_COST * self._cost(level) <= MOST_COST * _usual(costs)
+        return CHECK_COST * self._cost(level, coverage) <= MOST_COST * _usual(costs)
+
+    def costs_as_expected(self, received: ReceivedPing) -> bool:
+        """Return whether a ping costs about what was expected: as many of its samples as before return an echo."""
+        return self._costs_as_expected(received.coverage)
+
+    def _costs_as_expected(self, coverage: float) -> bool:
+        choice = self.choice
+        if choice.is_planned:
+            return True
+        expected = self._cost(choice.level, choice.coverage)
+        return abs(self._cost(choice.level, coverage) - expected) <= LIKE_COST * expected
+
+    def affordable(self, drawn: DrawnPing) -> Resolution:
+        """Return the resolution with which a ping that was drawn is to be received, so that it does not stall a loop.
+
+        Fewer samples, or the same ones without a check, if the view returns much more echo than those before: where a
+        sonar sees little, it has fine samples, which cost little until a body comes into view.
+        """
+        resolution, choice, coverage = drawn.resolution, self.choice, drawn.coverage
+        if resolution.is_final or self._costs_as_expected(coverage):
+            return resolution
+        costs, level = self.history.costs, choice.level
+        is_loop, usual = len(costs) >= LOOP_PINGS, _usual(costs)
+        if is_loop and self._cost(level, coverage) > MOST_COST * usual:
+            while level > 0 and self._cost(level, coverage) > MOST_FINER_COST * usual:
+                level -= 1
+        is_coarser = level < choice.level
+        drops_check = resolution.check and is_loop and not self._can_check(level, coverage, costs)
+        self.history = self.history._replace(costs=(*costs[:-1], self._cost(level, coverage)))
+        is_due = choice.is_due or is_coarser or drops_check
+        self.choice = replace(choice, level=level, coverage=coverage, is_due=is_due)
+        if is_coarser:
+            self.choice = replace(self.choice, plan=self._unverified(choice))
+        if is_coarser or drops_check:
+            return replace(self.resolution, halvings=resolution.halvings, is_final=True)
+        return resolution
+
+    def _unverified(self, before: Choice) -> Plan:
+        """Return the Plan of the coarser samples that are followed now, as if those of before just kept the tolerance.
+
+        It is not met until a check says so.
+        """
+        plan, stage = before.plan, self.resolution.stage
+        coarser = 2.0 ** (ERROR_RATE * (before.level - self.choice.level) / LEVELS_PER_HALF)
+        return replace(
+            plan,
+            sampling=stage.sampling,
+            level=self.choice.level,
+            error_estimate=coarser * max(plan.error_estimate, self.tolerance),
+            met=False,
+            n_samples=stage.fan.n_samples,
+        )
 
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Return samples of the next coarser level: those of a ping were more than fit."""
@@ -251,7 +315,7 @@ class AdaptiveSampling:
     def fix(self, setups: Sequence[PingSetup]) -> Plan:
         """Choose for all of some pings, as `LevelSearch.find_for_all`, and stay with it."""
         plan, planned = self.search.find_for_all(setups), frozenset(map(_view_of, setups))
-        self.choice = Choice(plan.level, self.search.finest, plan, planned=planned)
+        self.choice = Choice(plan.level, self.search.finest, plan=plan, planned=planned)
         self._warn_if_unmet(plan)
         return plan
 
@@ -265,9 +329,10 @@ class AdaptiveSampling:
         before = self.history
         if self.choice.is_planned:
             return before
-        return PingHistory(before.n_pings + 1, setup, self._costs_with(self.choice.level))
+        choice = self.choice
+        return PingHistory(before.n_pings + 1, setup, self._costs_with(choice.level, choice.coverage))
 
-    def _costs_with(self, level: int) -> tuple[float, ...]:
+    def _costs_with(self, level: int, coverage: float) -> tuple[float, ...]:
         """Return the costs of the last pings with echo and of one to come, with the samples of a level.
 
         While there is no echo, a ping takes a small part of the time of one with as many samples on bodies.
@@ -275,7 +340,7 @@ class AdaptiveSampling:
         costs, checked = self.history.costs, self.choice.last_check
         if len(costs) > 1 and checked is not None and checked.total <= 0:
             return costs
-        return *costs[1 - RECENT :], self._cost(level)
+        return *costs[1 - RECENT :], self._cost(level, coverage)
 
     def is_check_due(self, history: PingHistory) -> bool:
         """Return whether the error of the last ping of a history is to be estimated."""
@@ -287,7 +352,7 @@ class AdaptiveSampling:
             return True
         n_pings = history.n_pings - checked.n_pings
         is_due = choice.is_due or self._trigger.is_due(checked.setup, history.last, n_pings)
-        return is_due and self._can_check(choice.level, history.costs)
+        return is_due and self._can_check(choice.level, choice.coverage, history.costs)
 
     def is_apart(self, setup: PingSetup) -> bool:
         """Return whether a ping asks to be sampled by itself, or has little in common with the last one.
@@ -307,20 +372,22 @@ class AdaptiveSampling:
         """Return the history with a ping to come whose samples are being chosen from it alone."""
         return PingHistory(self.history.n_pings + 1, setup)
 
-    def follow(self, setup: PingSetup, plan: Plan, total: float, n_pings: int) -> None:
+    def follow(self, setup: PingSetup, plan: Plan, total: float, coverage: float, n_pings: int) -> None:
         """Warn if samples that were chosen from a ping alone do not suffice; then have later pings follow them.
 
         total : the sum of its echo
+        coverage : as of `Stage.coverage`
         n_pings : of the history that ends with it
         """
         self._warn_if_unmet(plan)
         if setup.request.alone:
             return
         finest = self.search.finest if plan.met else plan.level
-        choice = Choice(plan.level, finest, plan, LastCheck(setup, total, n_pings))
+        choice = Choice(plan.level, finest, coverage, plan, LastCheck(setup, total, n_pings))
         history = self.history
         if n_pings >= history.n_pings:  # else later ones were added meanwhile
-            costs = (float(plan.n_samples + self._fixed_cost),)  # another place has other costs
+            # another place has other costs
+            costs = (self._cost_of(plan.n_samples, coverage),)
             history = PingHistory(n_pings, setup, costs)
         # in one step: a ping near the one before this, after an interrupt between, would follow this choice
         self.choice, self.history = choice, history
@@ -348,9 +415,10 @@ class AdaptiveSampling:
         self._has_warned = True
 
 
-def fixed_cost(sonar: Sonar, acoustics: Acoustics) -> float:
-    """Return about what a ping costs beside its samples, in samples."""
-    return FIXED_SAMPLES + (1.0 if acoustics.pulse else BARE_BIN) * sonar.n_beams * sonar.n_bins
+def cost_of(sonar: Sonar, acoustics: Acoustics, n_samples: float, coverage: float) -> float:
+    """Return about what a ping costs, in samples with an echo; coverage : as of `Choice`."""
+    of_bins = (FILTERED_BIN if acoustics.pulse else BARE_BIN) * sonar.n_beams * sonar.n_bins
+    return FIXED_SAMPLES + of_bins * (1 + COVERED_BIN * coverage) + n_samples * coverage
 
 
 def _usual(costs: Sequence[float]) -> float:

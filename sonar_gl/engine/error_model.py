@@ -103,6 +103,11 @@ class TriedView(NamedTuple):
     bodies: BodySums | None = None
     further: Sequence[ViewSamples] = ()
 
+    @property
+    def coverage(self) -> float:
+        """As of `Stage.coverage`; first asked for while the samples are valid."""
+        return self.stage.coverage(self.view)
+
 
 class ErrorModel:
     """Judges sampling levels by what they see. It keeps nothing of a ping: what it says depends on that ping alone.

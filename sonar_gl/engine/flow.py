@@ -162,6 +162,11 @@ class DrawnPing:
     images: ImageSourceSamples | None = None
     further: FurtherViews = NO_FURTHER_VIEWS
 
+    @property
+    def coverage(self) -> float:
+        """As of `Stage.coverage`; first asked for while the samples are valid."""
+        return self.resolution.stage.coverage(self.view)
+
 
 @dataclass(frozen=True, eq=False)
 class ReceivedPing:
@@ -177,6 +182,7 @@ class ReceivedPing:
     surface : BeamEcho of the water's surface; None if it scatters nothing, or is out of reach
     lobes : BeamEcho of the specular lobes, a part of `direct`; None where the ping does not need them
     texture : BeamEcho of the texture's deviation, with lobes; None where the ping does not need it
+    coverage : as of `Stage.coverage`
     """
 
     drawn: DrawnPing
@@ -187,6 +193,7 @@ class ReceivedPing:
     surface: BeamEcho | None = None
     lobes: BeamEcho | None = None
     texture: BeamEcho | None = None
+    coverage: float = 1.0
 
     @property
     def of_water(self) -> list[BeamEcho]:

@@ -47,11 +47,13 @@ class FoundLevel(NamedTuple):
     ----------
     plan : Plan of that level
     total : the sum of the ping's echo
+    coverage : as of `Stage.coverage`
     finest : the finest level that is known to fit there
     """
 
     plan: Plan
     total: float
+    coverage: float
     finest: int
 
 
@@ -149,6 +151,7 @@ class LevelSearch:
         while level not in found:
             try:
                 tried = self.model.draw(setup, level)
+                coverage = tried.coverage  # while the samples are valid
                 judged = self.model.judge(setup, level, tried)
             except SampleLimitError:
                 if level == 0:
@@ -158,7 +161,7 @@ class LevelSearch:
                 level -= 1
                 continue
             # not of the last level that is tried, which may be coarser
-            found[level], steps = (judged.plan, tried.echo.total), judged.steps
+            found[level], steps = (judged.plan, tried.echo.total, coverage), judged.steps
             if steps > 0:
                 failed = max(failed, level)
             else:

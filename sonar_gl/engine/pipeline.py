@@ -163,7 +163,10 @@ def _sample_once(run: Run, setup: PingSetup, resolution: Resolution) -> Received
     """Draw and receive a ping once, and choose how finely its image sources are sampled."""
     resolution = replace(resolution, halvings=run.image_sampling.begin(resolution.check))
     (drawn,) = draw(run.image_sources, [setup], resolution)
-    return receive(drawn)
+    affordable = run.sampler.affordable(drawn)
+    if affordable.stage is not resolution.stage:
+        (drawn,) = draw(run.image_sources, [setup], affordable)
+    return receive(replace(drawn, resolution=affordable))
 
 
 def _sample_apart(run: Run, setup: PingSetup) -> tuple[ReceivedPing | None, Resolution | None]:
@@ -180,7 +183,8 @@ def _sample_apart(run: Run, setup: PingSetup) -> tuple[ReceivedPing | None, Reso
         if the image sources do not fit, and the request is `alone`, so that no coarser resolution may take its place.
     """
     chosen = choose_samples(run.sampler.search, setup)
-    run.sampler.follow(setup, chosen.plan, chosen.tried.echo.total, run.sampler.history.n_pings + 1)
+    tried, n_pings = chosen.tried, run.sampler.history.n_pings + 1
+    run.sampler.follow(setup, chosen.plan, tried.echo.total, tried.coverage, n_pings)
     try:
         received = receive_chosen(run.image_sources, setup, chosen, run.image_sampling.begin_alone())
     except SampleLimitError as error:
@@ -255,6 +259,7 @@ def receive_more(drawn: DrawnPing, direct: BeamEcho, labels: Labels | None) -> R
         surface=receive_surface(drawn),
         lobes=receive_part(drawn, drawn.further.lobes),
         texture=receive_part(drawn, drawn.further.texture),
+        coverage=drawn.coverage,
     )
     if labels is None or not received.of_water:
         return received

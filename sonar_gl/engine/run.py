@@ -281,7 +281,10 @@ class Run:
         if resolution.plan is not None:  # its samples were chosen from it alone
             self.image_sampling.begin_alone()
             return self._review_images(received)
-        if choice is not self.sampler.choice or self.sampler.has_changed(received.direct.total):
+        sampler = self.sampler
+        if choice is not sampler.choice or sampler.has_changed(received.direct.total):
+            return True
+        if not sampler.costs_as_expected(received):
             return True
         # those before may have changed how finely it has to be sampled
         return self.image_sampling.begin(check=False) != resolution.halvings or self._review_images(received)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from sonar_gl.core.errors import SampleLimitError
-from sonar_gl.engine.flow import PingSetup, Plan, ReceivedPing, Resolution
+from sonar_gl.engine.flow import DrawnPing, PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.stage import StageCache
 from sonar_gl.sonar.sampling import Sampling
@@ -59,10 +59,17 @@ class Sampler(Protocol):
     def history_with_apart(self, setup: PingSetup) -> object:
         """Return the history with a ping to come whose samples are being chosen from it alone."""
 
-    def follow(self, setup: PingSetup, plan: Plan, total: float, n_pings: int) -> None:
+    def affordable(self, drawn: DrawnPing) -> Resolution:
+        """Return the resolution with which to receive a ping that was drawn: its own, unless that stalls a loop."""
+
+    def costs_as_expected(self, received: ReceivedPing) -> bool:
+        """Return whether `affordable` left, or would leave, all as it was for a ping."""
+
+    def follow(self, setup: PingSetup, plan: Plan, total: float, coverage: float, n_pings: int) -> None:
         """Have later pings follow samples that were chosen from a ping alone, by this sampler or in another thread.
 
         total : the sum of its echo
+        coverage : as of `Stage.coverage`
         n_pings : of the history that ends with it, which it becomes unless later ones are in the history already
         """
 
@@ -111,7 +118,15 @@ class FixedSampling:
     def history_with_apart(self, setup: PingSetup) -> None:
         """Return None: no ping depends on those before."""
 
-    def follow(self, setup: PingSetup, plan: Plan, total: float, n_pings: int) -> None:
+    def affordable(self, drawn: DrawnPing) -> Resolution:
+        """Return the ping's own."""
+        return drawn.resolution
+
+    def costs_as_expected(self, received: ReceivedPing) -> bool:
+        """Return True."""
+        return True
+
+    def follow(self, setup: PingSetup, plan: Plan, total: float, coverage: float, n_pings: int) -> None:
         """Do nothing: later pings have the samples that were given."""
 
     def error_estimate(self, setup: PingSetup) -> None:

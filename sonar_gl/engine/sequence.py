@@ -143,7 +143,8 @@ class _Upcoming:
         """Have later pings follow one whose samples were chosen from it alone, unless other pings were made since."""
         sampler, plan = self._run.sampler, received.drawn.resolution.plan
         if sampler.history is self._history:
-            sampler.follow(ping.setup, plan, received.direct.total, ping.history.n_pings + 1)
+            n_pings = ping.history.n_pings + 1
+            sampler.follow(ping.setup, plan, received.direct.total, received.coverage, n_pings)
             self._history = sampler.history
 
     def review_size(self, received: ReceivedPing) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +66,18 @@ def with_neighbours(limits: Sequence[int], columns: int, rows: int) -> tuple[int
         return 0, 0, 0, 0
     low, bottom = max(low - BESIDE_ECHO, 0), max(bottom - BESIDE_ECHO, 0)
     return low, min(past + BESIDE_ECHO, columns), bottom, min(top + BESIDE_ECHO, rows)
+
+
+@compiled
+def _count_echoes(plane_echo, places):
+    """Return how many samples of some sectors return an echo; arguments of `ViewSamples` and `SectorTable`."""
+    count = 0
+    for s in range(places.shape[0]):
+        left, columns, rows = places[s, 0], places[s, 1], places[s, 2]
+        for j in range(rows):
+            for i in range(left, left + columns):
+                count += plane_echo[j, i, 3] > np.float32(0.0)
+    return count
 
 
 @compiled
@@ -168,6 +181,11 @@ class ViewSamples:
     def n_samples(self) -> int:
         """How many samples were drawn."""
         return sum(one.sector.columns * one.sector.rows for one in self.sectors)
+
+    @cached_property
+    def n_with_echo(self) -> int:
+        """How many samples return an echo: all, where a host rendered them. First asked for while they are valid."""
+        return self.n_samples if self.table is None else _count_echoes(self.plane_echo, self.table[0])
 
     def with_echo(self) -> ViewSamples:
         """Return the windows of this view's sectors that hold all samples with an echo, without bubbles."""

@@ -39,9 +39,9 @@ from tests.support.sampled_scenes import (
 pytestmark = pytest.mark.usefixtures("few_first_rays")
 
 
-def cost_of(n_samples):
+def cost_of(n_samples, coverage):
     """Return what a ping of SONAR costs, in samples."""
-    return n_samples + adaptive.fixed_cost(SONAR, IDEAL)
+    return adaptive.cost_of(SONAR, IDEAL, n_samples, coverage)
 
 
 class TestMoving:
@@ -126,7 +126,7 @@ class TestMoving:
         """It costs 2.1 times a ping without, which may cost 2.3 times the median."""
         sampler = simulator.run.sampler
         sampler.choice = replace(sampler.choice, is_due=True)
-        median = share * 2.1 / 2.3 * cost_of(sampler.plan.n_samples)
+        median = share * 2.1 / 2.3 * cost_of(sampler.plan.n_samples, sampler.choice.coverage)
         assert sampler.is_check_due(sampler.history._replace(costs=(median,) * 9)) == is_due
 
     @pytest.mark.parametrize(("median", "is_estimated"), [(1e12, True), (1.0, False)])
@@ -157,11 +157,51 @@ class TestMoving:
             sampler.choice = replace(sampler.choice, level=8, is_due=True)
             with simulator.run.drawing():
                 stage = sampler.resolution.stage
+                (view,) = stage.draw([np.eye(4)], [simulator.run.set_up(PingRequest(np.eye(4))).state])
+                coverage = stage.coverage(view)
             times = sampler.search.model.sampling_at(11).count(SONAR) / stage.sampling.count(SONAR)
-            median = share * cost_of(times * stage.fan.n_samples) / 1.65
+            median = share * cost_of(times * stage.fan.n_samples, coverage) / 1.65
             sampler.history = sampler.history._replace(costs=(median,) * 9)
             simulator.ping(np.eye(4))
             assert sampler.choice.level == level and sampler.choice.is_due
+
+    @pytest.mark.parametrize("is_checked", [False, True])
+    @pytest.mark.parametrize("most", [2.3, math.inf])
+    def test_a_view_that_fills_has_fewer_samples_at_once(self, simulator, is_checked, most, monkeypatch):
+        """Fine samples cost little where few return an echo. Without a limit they stay as a body comes into view."""
+        monkeypatch.setattr(adaptive, "MOST_COST", most)
+        calls, sampler = record_estimates(monkeypatch), simulator.run.sampler
+        coverage = sampler.choice.coverage
+        with simulator.run.drawing():
+            n_fine, n_coarse = (sampler.search.model.stage_at(n).fan.n_samples for n in (16, 12))
+        # what 16 levels cost before the body came; what 12 cost now is just as much as finer samples may
+        sampler.choice = replace(sampler.choice, level=16, coverage=0.0, is_due=is_checked)
+        usual = cost_of(n_coarse, 1.01 * coverage) / 1.65
+        assert 2.3 * usual < cost_of(n_fine, 0.99 * coverage)
+        sampler.history = sampler.history._replace(costs=(usual,) * 20)
+        ping = simulator.ping(sg.pose(0.001))
+        choice = sampler.choice
+        if most == math.inf:
+            assert ping.meta["sampling"] == vars(sampler.search.model.sampling_at(16))
+            return
+        assert not calls and choice.is_due
+        assert choice.level == 12 and ping.meta["sampling"] == vars(sampler.search.model.sampling_at(12))
+        assert choice.coverage == pytest.approx(coverage, rel=0.02)
+        assert ping.error_estimate == pytest.approx(2**1.3 * sampler.tolerance)
+        simulator.ping(sg.pose(0.002))
+        assert sampler.choice.level == 12 and not calls  # a check costs more than a ping may
+
+    @pytest.mark.parametrize(("n_pings", "is_checked"), [(20, False), (5, True)])
+    def test_a_check_waits_where_the_view_has_filled(self, simulator, n_pings, is_checked, monkeypatch):
+        """By what was seen before it was affordable. Fewer pings than a loop has are checked at any cost."""
+        calls, sampler = record_estimates(monkeypatch), simulator.run.sampler
+        choice = sampler.choice
+        sampler.choice = replace(choice, coverage=0.1 * choice.coverage, is_due=True)
+        usual = 0.99 * 2.1 / 2.3 * cost_of(sampler.plan.n_samples, choice.coverage)
+        sampler.history = sampler.history._replace(costs=(usual,) * n_pings)
+        simulator.ping(np.eye(4))
+        assert bool(calls) == is_checked and sampler.choice.is_due == (not is_checked)
+        assert sampler.choice.level == choice.level and sampler.choice.coverage == choice.coverage
 
     @pytest.mark.slow
     def test_memory_is_given_back_once_many_pings_had_far_fewer_samples(self, simulator, monkeypatch):
@@ -189,7 +229,9 @@ class TestMoving:
             assert history.n_pings == 11 and len(history.costs) == 5
             setup = run.set_up(PingRequest(np.eye(4)))
             before = sampler.choice
-            sampler.follow(run.set_up(PingRequest(np.eye(4), alone=True)), plan, 7.0, history.n_pings + 1)
+            sampler.follow(
+                run.set_up(PingRequest(np.eye(4), alone=True)), plan, 7.0, 0.5, history.n_pings + 1
+            )
             assert (sampler.choice, sampler.history) == (before, history)
             ended = sampler.history_with_apart(setup)
             assert (ended.n_pings, ended.last, ended.costs) == (history.n_pings + 1, setup, ())
@@ -197,16 +239,19 @@ class TestMoving:
             sampler.history = ended  # the next one is checked, in whatever place
             assert sampler.is_check_due(sampler.history_with(setup))
             sampler.history = history
-            sampler.follow(setup, plan, 7.0, history.n_pings - 1)  # later ones were added meanwhile
+            sampler.follow(setup, plan, 7.0, 0.5, history.n_pings - 1)  # later ones were added meanwhile
             assert sampler.history is history
             assert (sampler.choice.level, sampler.choice.finest) == (plan.level, FINEST_LEVEL)
-            assert sampler.choice.last_check == (setup, 7.0, history.n_pings - 1)
+            assert (sampler.choice.last_check, sampler.choice.coverage) == (
+                (setup, 7.0, history.n_pings - 1),
+                0.5,
+            )
             for n_pings in (history.n_pings, history.n_pings + 3):
                 with (
                     contextlib.nullcontext() if n_pings > history.n_pings else pytest.warns(ToleranceWarning)
                 ):
-                    sampler.follow(setup, unmet, 7.0, n_pings)
-                assert sampler.history == (n_pings, setup, (cost_of(plan.n_samples),))
+                    sampler.follow(setup, unmet, 7.0, 0.5, n_pings)
+                assert sampler.history == (n_pings, setup, (cost_of(plan.n_samples, 0.5),))
                 assert (sampler.choice.level, sampler.choice.finest) == (5, 5)
 
     def test_no_ping_tries_what_did_not_fit_in_the_first(self, monkeypatch):

@@ -39,7 +39,9 @@ class Model:
         self.tried.append((ping, level))
         if level > self.fits[ping]:
             raise SampleLimitError("too many")
-        return SimpleNamespace(echo=SimpleNamespace(total=total_of(level)), level=level)
+        return SimpleNamespace(
+            echo=SimpleNamespace(total=total_of(level)), coverage=1 / (1 + level), level=level
+        )
 
     def judge(self, ping, level, tried, before=None):
         assert tried.level == level
@@ -91,7 +93,7 @@ def test_the_coarsest_level_that_keeps_the_tolerance_is_found_from_any_other(sea
                 found = search_with(model).find_coarsest(0, first)
                 case, level = (needed, fits, first), found.plan.level
                 assert len(set(model.tried)) == len(model.tried), case
-                assert found.total == total_of(level), case
+                assert (found.total, found.coverage) == (total_of(level), 1 / (1 + level)), case
                 assert found.plan.met == (level >= needed), case
                 refused = [tried for _, tried in model.tried if tried > fits]
                 assert found.finest == (min(refused) - 1 if refused else MOST), case
