@@ -28,7 +28,7 @@ ROUNDED = 1e-3  # deviation from a rotation that rounding may have caused, and h
 MAX_POSITION_M = 1e9  # of an origin; squares of much greater lengths overflow
 MAX_TIME_S = 1e10  # Unix time with room to spare
 MAX_SCALE = 1e3  # and its inverse: of what is smaller or larger, lengths are in other units
-UNSCALED = 1e-4  # the square of a scale that differs from 1 by less is that of rotations, as rounded
+UNSCALED = 1e-5  # deviation from a rotation that is rounding, as of the square of a scale from 1
 SINGLE_PRECISION_M = 2.0**16  # from here on float32 holds places to 8 mm, about a bin, or less finely
 
 
@@ -43,7 +43,7 @@ def check_pose(matrix, what: str = "pose", may_scale: bool = False) -> np.ndarra
     out = frozen_array(matrix, np.float64, (4, 4), what, hint)
     # Python floats take a sixth of NumPy's time for nine numbers, and this runs at every ping.
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = out.tolist()
-    if may_scale and abs((square := a * a + b * b + c * c) - 1) >= UNSCALED:
+    if may_scale and abs((square := a * a + b * b + c * c) - 1) > UNSCALED:
         scale = math.sqrt(square)
         if not 1 / MAX_SCALE <= scale <= MAX_SCALE:
             raise Error(f"{what} must scale by {1 / MAX_SCALE:g}..{MAX_SCALE:g} (got {scale:g}; give metres)")
@@ -51,7 +51,7 @@ def check_pose(matrix, what: str = "pose", may_scale: bool = False) -> np.ndarra
     lengths = a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1
     angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
     turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    if (deviation := max(map(abs, lengths + angles))) > 1e-5 or turn < 0:
+    if (deviation := max(map(abs, lengths + angles))) > UNSCALED or turn < 0:
         advice = "scale the mesh instead"
         if deviation < ROUNDED and turn > 0:
             advice = "if it is a product of many poses, or float32, rounding adds up: make it anew by sonar_gl.pose"
@@ -85,7 +85,7 @@ def scales_of(poses: np.ndarray) -> np.ndarray:
     [1.0, 2.0]
     """
     squares = (poses[:, :3, 0] ** 2).sum(axis=1)
-    return np.sqrt(np.where(np.abs(squares - 1) < UNSCALED, 1.0, squares))
+    return np.sqrt(np.where(np.abs(squares - 1) <= UNSCALED, 1.0, squares))
 
 
 def unscaled(matrix: np.ndarray) -> np.ndarray:

@@ -95,9 +95,9 @@ class DetailLimits(NamedTuple):
     echo_error: float
 
 
-# The square of a scale that differs from 1 by less is that of rotations, as rounded: of `sonar_gl.core.poses`, whose
+# The square of a scale that differs from 1 by no more is that of rotations, as rounded: of `sonar_gl.core.poses`, whose
 # constants these functions must not read.
-UNSCALED = 1e-4
+UNSCALED = 1e-5
 # Distance of the near plane's furthest corner over that of the plane: at most 13.2, tan 85 deg / cos 30 deg up at the
 # side of the widest sector.
 CORNER = 14
@@ -107,7 +107,7 @@ CORNER = 14
 def _square_of_scale(m):
     """Return the square of the scale of a (3, 4) matrix, exactly 1 of one that only turns and moves."""
     square = m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0] + m[2, 0] * m[2, 0]
-    return 1.0 if abs(square - 1.0) < UNSCALED else square
+    return 1.0 if abs(square - 1.0) <= UNSCALED else square
 
 
 @compiled

@@ -254,6 +254,19 @@ def test_a_model_is_scaled_as_a_whole_and_its_bubbles_keep_their_size():
         assert (got.intensity != simulator.ping(POSE, time_s=2.0).intensity).any()
 
 
+@pytest.mark.parametrize("part", ["fish", "fish::body", "fish::breath"])
+def test_any_scale_near_1_is_one(part):
+    """Scales that are drawn, as in a batch, come as near to 1 as may be."""
+    scene = sg.Scene(
+        [sg.Body("fish::body", BOX, sg.pose(6, 1)), sg.Bubbles("fish::breath", sg.pose(6, 1, 0.5))],
+        models={"fish": sg.pose(6, 1)},
+    )
+    with sg.Simulator(scene, SONAR, sampling=SAMPLING) as simulator:
+        for power in np.arange(-7, -3, 0.1):
+            for sign in (-1, 1):
+                simulator.place({part: scaled(sg.pose(6, 1, 0, 0.3, 0.2, 0.1), 1 + sign * 10**power)})
+
+
 @pytest.mark.parametrize(
     ("matrix", "message"),
     [
