@@ -20,8 +20,10 @@ DEPTH_KINDS = "planar", "range"
 # with shorter ranges may have all surfaces within a metre.
 FAR_DEPTH, MOST, MANY_M = 0.9, 0.95, 5.0
 # Of normals in other axes than those of the camera: planes are taken from pixels this far to each side, so that noise
-# of the depths turns them little, and at up to so many rows and columns.
-OTHER_AXES_RAD, PLANE_PIXELS, LEAST_NORMALS, GRID = math.radians(45.0), 4, 100, 100
+# of the depths turns them little, and at up to so many rows and columns. Where pixels between leave them by more than
+# this slope, there are several surfaces, as where poles stand before a floor.
+OTHER_AXES_RAD, PLANE_PIXELS, LEAST_NORMALS, GRID = math.radians(60.0), 4, 100, 100
+MAX_BEND = 0.2
 NO_NORMALS, NO_BODIES = np.empty((0, 0, 0), np.float32), np.empty((0, 0), np.uint16)
 
 
@@ -200,7 +202,7 @@ def normals_suspicion(cameras, images, planar: bool) -> str | None:
     if len(cosines) < LEAST_NORMALS or np.median(cosines) > math.cos(OTHER_AXES_RAD):
         return None
     return (
-        "normals do not fit the depths: half of them are more than 45° off the surfaces that the depths show (give "
+        "normals do not fit the depths: half of them are more than 60° off the surfaces that the depths show (give "
         "them in the camera's optical axes, x right, y down, z ahead, of textures in the view's axes)"
     )
 
@@ -219,17 +221,24 @@ def _cosines(camera: Camera, image: DepthImage, planar: bool) -> np.ndarray:
         depth = image.depth[j, i].astype(np.float64)
         return np.where(depth > 0, 1.0 if planar else np.linalg.norm(rays(j, i), axis=-1), np.nan) / depth
 
+    def slope_and_bend(row, column):
+        """Return the change of 1/Z per pixel, and how far pixels between both sides leave it."""
+        steps = -k, -(k // 2), 0, k // 2, k
+        along = np.stack([inverse(j + row * step, i + column * step) for step in steps])
+        slope = (along[-1] - along[0]) / (2 * k)
+        line = (along[-1] + along[0]) / 2 + slope * np.array(steps)[:, None]
+        return slope, np.abs(along - line).max(axis=0)
+
     with np.errstate(all="ignore"):
         # 1/Z of the plane p . x = 1 is p . K^-1 (i, j, 1)
-        across = (inverse(j, i + k) - inverse(j, i - k)) / (2 * k)
-        down = (inverse(j + k, i) - inverse(j - k, i)) / (2 * k)
+        (across, bend_across), (down, bend_down) = slope_and_bend(0, 1), slope_and_bend(1, 0)
         x, y = K[0, 0] * across, K[0, 1] * across + K[1, 1] * down
         u, v, _ = rays(j, i).T
         planes = np.stack([x, y, inverse(j, i) - x * u - y * v], axis=-1)
-        normals = image.normals[j, i].astype(np.float64)
-        lengths = np.linalg.norm(planes, axis=-1) * np.linalg.norm(normals, axis=-1)
-        cosines = np.abs((planes * normals).sum(axis=-1)) / lengths
-    return cosines[np.isfinite(cosines)]
+        normals, sizes = image.normals[j, i].astype(np.float64), np.linalg.norm(planes, axis=-1)
+        is_one = np.maximum(K[0, 0] * bend_across, K[1, 1] * bend_down) <= MAX_BEND * k * sizes
+        cosines = np.abs((planes * normals).sum(axis=-1)) / (sizes * np.linalg.norm(normals, axis=-1))
+    return cosines[is_one & np.isfinite(cosines)]
 
 
 def is_planar(holds: str) -> bool:

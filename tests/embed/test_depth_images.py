@@ -412,7 +412,7 @@ def test_normals_in_other_axes_give_a_hint_once(change):
     _, depth, normals, _ = ROOM_CAST.images(CAMERA)
     found = hints(depth, n=2, normals=change(normals))
     assert found == [
-        "normals do not fit the depths: half of them are more than 45° off the surfaces that the depths show "
+        "normals do not fit the depths: half of them are more than 60° off the surfaces that the depths show "
         "(give them in the camera's optical axes, x right, y down, z ahead, of textures in the view's axes)"
     ]
 
@@ -440,6 +440,20 @@ def test_normals_of_walls_far_aside_of_a_wide_camera_fit_the_depths():
     assert not hints(depth, camera, normals=normals)
     assert not hints(distances, camera, normals=normals, holds="range")
     assert hints(depth, camera, normals=normals[..., ::-1])
+
+
+def test_normals_of_poles_before_a_wall_fit_the_depths():
+    """Most pixels have others of another surface four pixels aside, and planes through both are those of none."""
+    random = np.random.default_rng(0)
+    poles = [
+        cylinder(distance, distance * sine, 0.03, -5, 5)
+        for distance, sine in zip(random.uniform(4, 12, 150), random.uniform(-0.5, 0.5, 150), strict=True)
+    ]
+    for columns in (100, 400):
+        camera = sg.Camera.of_fov(columns, columns // 2, math.radians(60), math.radians(30))
+        _, depth, normals, _ = Cast(*poles, plane([1, 0, 0], 15)).images(camera)
+        assert not hints(depth, camera, normals=normals)
+    assert hints(depth, camera, normals=normals[..., ::-1])  # of the wall, between
 
 
 def test_depth_in_float16_gives_a_hint():
