@@ -88,10 +88,21 @@ def scales_of(poses: np.ndarray) -> np.ndarray:
     return np.sqrt(np.where(np.abs(squares - 1) <= UNSCALED, 1.0, squares))
 
 
+def scale_of(pose: np.ndarray) -> float:
+    """Return the scale of a (4, 4) pose, or of its first three rows, exactly 1 of a rigid one.
+
+    >>> scale_of(np.diag([2.0, 2.0, 2.0, 1.0]))
+    2.0
+    """
+    x, y, z = pose[:3, 0].tolist()  # as floats: planes of many bodies ask for it at every ping
+    square = x * x + y * y + z * z
+    return 1.0 if abs(square - 1) <= UNSCALED else math.sqrt(square)
+
+
 def unscaled(matrix: np.ndarray) -> np.ndarray:
     """Return a (4, 4) pose without its scale."""
     out = matrix.copy()
-    out[:3, :3] /= scales_of(matrix[None])[0]
+    out[:3, :3] /= scale_of(matrix)
     return out
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sonar_gl.acoustics.boundary import cos_of_greatest_lobe, specular_lobe
 from sonar_gl.core.compiled import compiled
-from sonar_gl.core.poses import scales_of
+from sonar_gl.core.poses import scale_of, scales_of
 from sonar_gl.engine.reception import Reception
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
 
@@ -103,7 +103,7 @@ def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
     greatest_cosine = cos_of_greatest_lobe(body.roughness_rad)
     greatest = float(specular_lobe(greatest_cosine, body.specular, body.roughness_rad))
     surface, to_sonar = body.surface, pose[:3, :3].T @ body_pose[:3, :3]
-    scale = scales_of(body_pose[None])[0]
+    scale = scale_of(body_pose)
     if len(surface.faces) > MAX_CLIPPED_FACES:
         return greatest
     corners = np.asarray(surface.vertices, np.float64)[np.asarray(surface.faces)]

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from sonar_gl.core.compiled import compiled
-from sonar_gl.core.poses import scales_of
+from sonar_gl.core.poses import scale_of
 from sonar_gl.engine.body_extents import MAX_CLIPPED_FACES, Sphere
 from sonar_gl.engine.reception import Reception
 from sonar_gl.sonar.fan import SURFACE_MARGIN_M
@@ -55,7 +55,7 @@ def is_unobstructed(
     if surface_z_m is not None and pose[2, 3] < surface_z_m:
         surface = np.array([[0.0, 0.0, -1.0, surface_z_m - SURFACE_MARGIN_M]]) @ body_pose
     frusta = _frusta([one.sector for one in samples], sonar.range_max_m)
-    radius_m = scales_of(body_pose[None])[0] * sphere.radius_m
+    radius_m = scale_of(body_pose) * sphere.radius_m
     reaching = np.flatnonzero(~_are_beside(frusta, Sphere(centre, radius_m)))
     if not len(reaching):
         return False

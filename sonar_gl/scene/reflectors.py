@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonar_gl.acoustics.boundary import coherent_loss, rayleigh_reflection
-from sonar_gl.core.poses import scales_of
+from sonar_gl.core.poses import scale_of
 from sonar_gl.scene.materials import Material, material
 from sonar_gl.scene.scene import Body, Scene
 
@@ -43,9 +43,10 @@ class PlanarReflector:
         """Return the normal and offset in the world, for (n, 4, 4) world_from_body poses of all bodies."""
         if self.body is None:
             return self.normal, self.offset_m
-        pose, scale = poses[self.body], scales_of(poses[[self.body]])[0]
+        pose = poses[self.body]
+        scale = scale_of(pose)
         normal = pose[:3, :3] @ self.normal / scale
-        return normal, float(scale * self.offset_m + normal @ pose[:3, 3])
+        return normal, scale * self.offset_m + float(normal @ pose[:3, 3])
 
 
 def tabulate_reflection(reflects, roughness_m: float, wavenumber_rad_m: float) -> np.ndarray:

@@ -10,7 +10,7 @@ import sonar_gl as sg
 from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.job_warnings import model_warnings
 from sonar_gl.batch.requests import BatchRequests
-from sonar_gl.core.poses import scales_of, unscaled
+from sonar_gl.core.poses import scale_of, unscaled
 from tests.support.batches import BOX, FLOOR, files_of, make_all, write_job, write_plain_job
 from tests.support.command_line import BODY, WALL, run
 
@@ -27,10 +27,6 @@ def bodies_of(job, *tables, **changes):
     """Return where bodies are in each ping."""
     plain = read_job(job).plain | {"vary": {"bodies": list(tables)}} | changes
     return [request.bodies for request in BatchRequests(Job(**plain))]
-
-
-def scale_of(pose):
-    return scales_of(pose[None])[0]
 
 
 def test_each_ping_draws_a_size_and_nothing_else_of_the_body_depends_on_it(job):

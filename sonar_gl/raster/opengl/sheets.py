@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.core.poses import scales_of
+from sonar_gl.core.poses import scale_of
 from sonar_gl.scene.scene import Body
 
 MAX_SHEET_FACES = 64  # of one patch by far, which is drawn whole
@@ -72,7 +72,7 @@ def draw_near(sheet: Sheet, matrix: np.ndarray, reach_m: float, row: np.ndarray)
     matrix : (3, 4) sonar_from_body, about the middle of the rectangle's box
     row : of `place_bodies`; its first 12 floats, the same matrix, are replaced if the rectangle reaches further
     """
-    half_sides, scale = sheet.half_sides.tolist(), float(scales_of(matrix[None])[0])
+    half_sides, scale = sheet.half_sides.tolist(), scale_of(matrix)
     reach_m /= scale  # in the body's frame
     if max(half_sides) <= reach_m:
         return
