@@ -4,6 +4,7 @@ A power of two rounds nothing, so that all bits are the same; other factors diff
 """
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -57,11 +58,16 @@ def placed(scale):
     return {body.name: scaled(body.pose, scale) for body in bodies()}
 
 
+@cache
+def own_levels():
+    """Return name -> (body, its mesh with levels of detail), of the bodies in the size of their meshes here."""
+    return {body.name: (body, level_of_detail.mesh_with_levels(body)) for body in bodies()}
+
+
 def levels_of_size(body):
     """Return the levels of detail of a body, scaled; how a mesh is simplified depends on the bits of its vertices."""
-    own = next(one for one in bodies() if one.name == body.name)
+    own, mesh = own_levels()[body.name]
     scale = np.float32(np.ptp(body.surface.vertices) / np.ptp(own.surface.vertices))
-    mesh = level_of_detail.mesh_with_levels(own)
     names = {"error_m": scale, "box": scale, "moment": scale**2, "whole": scale**2}
     levels = replace(mesh.levels, **{name: getattr(mesh.levels, name) * by for name, by in names.items()})
     lengths = {name: getattr(mesh, name) * scale for name in ("centre", "bounds", "extremes", "points")}
@@ -79,8 +85,24 @@ def engine(request, monkeypatch):
     monkeypatch.setenv("SONAR_GL_ENGINE", request.param)
 
 
-@pytest.mark.parametrize("scale", [0.5, 2.0])
-@pytest.mark.parametrize("settings", [{"sampling": SAMPLING}, {"tolerance": 0.05}], ids=["fixed", "adaptive"])
+FIXED, ADAPTIVE = {"sampling": SAMPLING}, {"tolerance": 0.05}
+
+
+# both engines draw both sizes; how samples are chosen does not depend on the engine
+@pytest.mark.parametrize(
+    ("engine", "settings", "scale"),
+    [
+        pytest.param("cpu", FIXED, 2.0, id="cpu-fixed-2.0"),
+        pytest.param("cpu", ADAPTIVE, 0.5, id="cpu-adaptive-0.5"),
+        pytest.param("opengl", FIXED, 2.0, id="opengl-fixed-2.0"),
+        pytest.param("opengl", FIXED, 0.5, id="opengl-fixed-0.5"),
+        pytest.param("cpu", FIXED, 0.5, id="cpu-fixed-0.5", marks=pytest.mark.slow),
+        pytest.param("cpu", ADAPTIVE, 2.0, id="cpu-adaptive-2.0", marks=pytest.mark.slow),
+        pytest.param("opengl", ADAPTIVE, 0.5, id="opengl-adaptive-0.5", marks=pytest.mark.slow),
+        pytest.param("opengl", ADAPTIVE, 2.0, id="opengl-adaptive-2.0", marks=pytest.mark.slow),
+    ],
+    indirect=["engine"],
+)
 def test_a_body_twice_as_large_gives_the_bytes_of_a_mesh_that_is(levels, engine, settings, scale):
     acoustics = sg.Acoustics.physical(multipath="incoherent")
     more = {"labels": True, "background": ["ground"]}
