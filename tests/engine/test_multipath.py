@@ -3,6 +3,7 @@
 import math
 import warnings
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -156,17 +157,23 @@ def test_a_single_bounce_echo_arrives_alike_straight_and_by_way_of_the_reflector
     assert found.sum() == pytest.approx(ahead + beside + twice, rel=1e-6)
 
 
-def line_array_amplitude(u, taper, width_rad):
-    """Return the amplitude of a beam of this -3 dB width, 1 on its axis, by summing elements."""
+def sum_elements(x, taper):
+    """Return the amplitude of a line array, 1 on its axis, by summing elements."""
     z = (np.arange(2000) + 0.5) / 2000 - 0.5
     weights = 0.54 + 0.46 * np.cos(2 * np.pi * z) if taper == "hamming" else np.ones_like(z)
+    return np.cos(2 * np.pi * np.multiply.outer(x, z)) @ weights / weights.sum()
 
-    def sum_elements(x):
-        return np.cos(2 * np.pi * np.multiply.outer(x, z)) @ weights / weights.sum()
 
+@cache
+def edge_of(taper):
+    """Return where the power of a line array is half of that on its axis."""
     x = np.linspace(0, 1, 2001)
-    edge = np.interp(-np.sqrt(0.5), -sum_elements(x), x)
-    return sum_elements(u * edge / np.sin(width_rad / 2))
+    return np.interp(-np.sqrt(0.5), -sum_elements(x, taper), x)
+
+
+def line_array_amplitude(u, taper, width_rad):
+    """Return the amplitude of a beam of this -3 dB width, 1 on its axis."""
+    return sum_elements(u * edge_of(taper) / np.sin(width_rad / 2), taper)
 
 
 # distances of the wall: the bearings are 0.9, 2, 2.9 and 11.3 degrees apart. The side lobes of an array without taper
@@ -175,11 +182,14 @@ def line_array_amplitude(u, taper, width_rad):
     ("taper", "steered", "wall_m", "within"),
     [
         ("hamming", "straight", 0.1, 0.003),
-        ("hamming", "alike", 0.4, 0.003),
         ("uniform", "alike", 0.1, 0.01),
         *(
             pytest.param(*one, marks=pytest.mark.slow)
-            for one in (("hamming", "alike", 0.03, 0.003), ("uniform", "straight", 0.07, 0.01))
+            for one in (
+                ("hamming", "alike", 0.4, 0.003),
+                ("hamming", "alike", 0.03, 0.003),
+                ("uniform", "straight", 0.07, 0.01),
+            )
         ),
     ],
 )
