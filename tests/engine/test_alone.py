@@ -46,11 +46,12 @@ def requests(**more):
     return [PingRequest(pose, alone=True, **more) for pose in POSES]
 
 
-# the other two have labels, too
-KINDS = "plain", pytest.param("labels", marks=pytest.mark.slow), "shadows", "multipath"
+def fast_kinds(*fast):
+    """Return the kinds of MORE, of which those that are not among the fast ones are slow."""
+    return [kind if kind in fast else pytest.param(kind, marks=pytest.mark.slow) for kind in MORE]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", fast_kinds("plain", "multipath"))
 def test_any_order_and_company_gives_the_same_bytes(kind, monkeypatch):
     """Also those of a sequence; threads may not choose their samples, which have image sources as planned."""
     monkeypatch.setattr(sequence, "FEW_SAMPLES", 0)  # else the caller makes pings as small as these
@@ -69,7 +70,7 @@ def test_any_order_and_company_gives_the_same_bytes(kind, monkeypatch):
         assert one.error_estimate == other.error_estimate and one.meta["sampling"] == other.meta["sampling"]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", fast_kinds("shadows", "multipath"))
 def test_the_ping_is_that_of_the_samples_it_states(kind):
     """So a ping of a data set can be made again by its samples; with multipath, by its tolerance, too."""
     settings, more = MORE[kind]
