@@ -308,7 +308,8 @@ def test_adding_a_body_takes_no_more_work_where_many_came_and_went():
         assert it.world.engine.meshes.most_patches == len(it.scene.bodies)  # one for each box
 
 
-@pytest.mark.parametrize("engine", ["cpu", pytest.param("opengl", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
 def test_bodies_that_are_added_one_by_one_take_no_more_memory_traffic_where_many_are(engine):
     """Each add copied the arrays of all bodies, so that 10 000 of them took 19 s, and all at once 0.2 s."""
     names = (f"box {number}" for number in count())
