@@ -995,10 +995,8 @@ def test_pings_of_more_than_a_direct_echo_are_not_small(physics, options, handed
     mirror = sg.Body("mirror", BALL, sg.pose(5), 0.5, specular=1.0)
     scene = sg.Scene([*BODIES, mirror], surface_z_m=1.5).with_more([sg.Bubbles("plume", sg.pose(6, 1, -2))])
     with sg.Simulator(scene, SONAR, sg.Acoustics("ideal", **physics), SAMPLING, engine="cpu") as it:
-        list(it.pings(POSES, **options))
-    assert set(handed_over) == set(
-        range(1, len(POSES))
-    )  # some more than once, to make their image sources finer
+        list(it.pings(POSES[:6], **options))
+    assert set(handed_over) == set(range(1, 6))  # some more than once, to make their image sources finer
 
 
 def test_requests_are_taken_as_far_ahead_whoever_makes_the_pings(monkeypatch):
