@@ -37,7 +37,7 @@ def test_a_dry_run_names_the_views_that_need_the_most_samples(hard):
             "[ros]\n",
             "8 pings in 2 parts of 4, each a file of the bag (a larger pings_per_part makes fewer files)",
         ),
-        (8, "[ros]\n", "8 pings in 1 part"),
+        pytest.param(8, "[ros]\n", "8 pings in 1 part", marks=pytest.mark.slow),
         (4, "", "8 pings in 2 parts of 4"),
     ],
 )
@@ -47,7 +47,8 @@ def test_a_dry_run_says_of_how_many_files_a_bag_is(tmp_path, monkeypatch, part, 
     assert line in run("batch", job, "--dry-run", "--workers", "1")[1].splitlines()
 
 
-def test_a_dry_run_counts_pings_in_which_a_body_has_no_clear_place(tmp_path):
+def test_a_dry_run_counts_pings_in_which_a_body_has_no_clear_place(tmp_path, monkeypatch):
+    use_inline_pool(monkeypatch)
     path = write_plain_job(tmp_path, 4, 4)
     boxes = BOX + BOX.replace("box_1", "box_2")
     (tmp_path / "tank.sdf").write_text(f'<sdf version="1.9"><world name="tank">{boxes}{WALL}</world></sdf>')
