@@ -119,12 +119,9 @@ def test_a_process_that_hangs_is_replaced(job, expected, tmp_path, monkeypatch):
     assert found == {name: expected[f"parts/{name}"] for name in found} and len(found) == 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("n_cores", "asked", "n_threads"),
-    [
-        (5, None, 2),
-        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((1, None, 1), (4, None, 2), (4, "3", 3))),
-    ],
+    ("n_cores", "asked", "n_threads"), [(5, None, 2), (1, None, 1), (4, None, 2), (4, "3", 3)]
 )
 def test_processes_share_the_cores(job, tmp_path, monkeypatch, n_cores, asked, n_threads):
     """Two of them, each with as many threads as leave a core to each, or as the user says.
