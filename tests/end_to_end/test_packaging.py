@@ -104,11 +104,13 @@ def test_every_package_is_listed():
     assert set(setup["options"]["packages"].split()) == packages, "list the packages in setup.cfg"
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel):
     held = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert held == set(sources())
 
 
+@pytest.mark.slow
 def test_the_source_archive_holds_what_builds_and_checks_it(sdist):
     with tarfile.open(sdist) as archive:
         held = {name.partition("/")[2] for name in archive.getnames()}
@@ -155,11 +157,13 @@ def test_a_zip_archive_is_said_to_be_no_place_for_the_package(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_versions_agree(installed):
     (distribution,) = metadata.distributions(name="sonar_gl", path=[str(installed)])
     assert distribution.version == look_around(installed)["version"] == sonar_gl.__version__
 
 
+@pytest.mark.slow
 def test_the_command_is_installed(installed):
     (distribution,) = metadata.distributions(name="sonar_gl", path=[str(installed)])
     (command,) = distribution.entry_points.select(group="console_scripts")
