@@ -30,9 +30,9 @@ SPREAD, BIAS = 0.25, 0.1  # limits of the rms relative error of a rod's echo, an
 COMBINED = list(product(RODS, (WIDE_BEAMS_DEG, NARROW_BEAMS_DEG)))
 CASES = [(*rod, beams, kind) for (rod, beams), kind in zip(COMBINED, cycle(KINDS))]
 NUMBERED = [(*rod, beams, k) for k, (rod, beams) in enumerate(COMBINED)]
-FAST = (0.010, 15.0, NARROW_BEAMS_DEG, 3), (0.004, 6.0, NARROW_BEAMS_DEG, 7)
+FAST = ((0.004, 6.0, NARROW_BEAMS_DEG, 7),)
 ACROSS = [(*rod, along) for rod in RODS + CABLES for along in ("upright", "level")]
-FAST_ACROSS = (0.010, 6.0, "upright"), (0.004, 6.0, "level"), (0.010, 30.0, "level"), (0.050, 50.0, "upright")
+FAST_ACROSS = (0.010, 6.0, "upright"), (0.010, 30.0, "level")
 
 
 def fast_ones(cases, fast):
@@ -86,9 +86,7 @@ def test_the_lattice_keeps_rods_that_a_plain_grid_loses(diameter, range_m, along
 
 
 # the fast ones are of all kinds, ranges, diameters and widths
-@pytest.mark.parametrize(
-    "diameter, range_m, beam_width, kind", fast_ones(CASES, [CASES[k] for k in (0, 2, 5, 7)])
-)
+@pytest.mark.parametrize("diameter, range_m, beam_width, kind", fast_ones(CASES, [CASES[k] for k in (0, 7)]))
 def test_rods_keep_their_echo_at_fixed_samples(diameter, range_m, beam_width, kind):
     """Rods of 2 m and more, with some ten samples on each, appear in all of 100 shifts of 2 mm."""
     rng, sonar = rng_of(diameter, range_m, beam_width), rod_sonar(beam_width)
