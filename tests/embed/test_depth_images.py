@@ -404,7 +404,7 @@ PITCHED = sg.pose(pitch=0.3, yaw=0.5)[:3, :3]
     [
         lambda n: n @ (PITCHED @ CAMERA.rotation).T,  # those of the world
         lambda n: n @ CAMERA.rotation.T,  # those of the sonar
-        lambda n: n[..., ::-1],
+        pytest.param(lambda n: n[..., ::-1], marks=pytest.mark.slow),
     ],
 )
 def test_normals_in_other_axes_give_a_hint_once(change):
@@ -417,7 +417,7 @@ def test_normals_in_other_axes_give_a_hint_once(change):
     ]
 
 
-@pytest.mark.parametrize("noise_m", [0.0, 0.02])
+@pytest.mark.parametrize("noise_m", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
 def test_normals_that_fit_the_depths_give_no_hint(noise_m):
     random = np.random.default_rng(0)
     distances, depth, normals, _ = ROOM_CAST.images(CAMERA)
