@@ -586,7 +586,13 @@ def test_start_time_counts_nanoseconds_in_the_first_version_and_seconds_in_the_s
     assert struct.unpack_from("<d", second, 153) == (time_s,)
 
 
-@pytest.mark.parametrize("number", [errno.ECONNRESET, errno.EHOSTUNREACH, errno.ETIMEDOUT])
+@pytest.mark.parametrize(
+    "number",
+    [
+        errno.EHOSTUNREACH,
+        *(pytest.param(one, marks=pytest.mark.slow) for one in (errno.ECONNRESET, errno.ETIMEDOUT)),
+    ],
+)
 def test_a_program_that_the_network_loses_is_gone_without_a_traceback(number, monkeypatch, caplog):
     """The last two are no ConnectionError: a cable is pulled."""
     caplog.set_level("INFO")
