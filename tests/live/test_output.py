@@ -24,7 +24,7 @@ from sonar_gl.live.settings import LiveSettings
 from sonar_gl.sonar.sonar_files import load_sonar
 from tests.support.waiting import WAIT_S, wait_until
 
-COARSE = LiveSettings("p900-45,n_beams=64", range_m=15.0, tolerance=0.2, height=120)
+COARSE = LiveSettings("p900-45,n_beams=24", range_m=15.0, tolerance=0.5, height=120)
 START = sg.pose(0.123456789, 0.2, -5.0, 0.0, 0.2, 0.1)
 
 
