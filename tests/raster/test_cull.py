@@ -413,7 +413,7 @@ def test_a_driver_of_opengl_3_3_gives_the_same_ping(extensions, indirect, tmp_pa
         pytest.param(
             trimesh.creation.box((0.5, 0.1, 2.0)), 0.0, marks=pytest.mark.slow
         ),  # each corner is the outermost in some direction
-        (trimesh.creation.icosphere(4, 0.7), 0.08),  # 1 - cos 23°
+        (trimesh.creation.icosphere(3, 0.7), 0.08),  # 1 - cos 23°
         pytest.param(trimesh.creation.cylinder(0.1, 0.6, sections=48), 0.02, marks=pytest.mark.slow),
     ],
 )
