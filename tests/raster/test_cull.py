@@ -18,6 +18,7 @@ from sonar_gl.raster import views as raster_views
 from sonar_gl.raster.cull import BEYOND, SectorGeometry
 from sonar_gl.raster.opengl import buffers
 from sonar_gl.raster.views import SectorView
+from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import FAR_FACTOR
 from tests.support.worlds import random_rotation, terrain
 
@@ -162,7 +163,7 @@ def test_back_faces_of_open_bodies_and_from_inside_are_drawn(views, keep_points)
 
 
 def before_face(rng, mesh, pose, distance_m):
-    """Return a sonar's pose, turned at random, so far before the middle of a random face of a body."""
+    """Return a sonar's pose, turned at random, so far before the middle of a random face, in units of the mesh."""
     face = rng.integers(len(mesh.faces))
     out = random_rotation(rng)
     place = mesh.triangles_center[face] + distance_m * mesh.face_normals[face]
@@ -170,7 +171,8 @@ def before_face(rng, mesh, pose, distance_m):
     return out
 
 
-def test_back_faces_are_culled_unless_the_near_plane_may_cut_a_closed_body():
+@pytest.mark.parametrize("scale", [0.05, 1.0, 3.0])
+def test_back_faces_are_culled_unless_the_near_plane_may_cut_a_closed_body(scale):
     """In distances of the near plane: half of one behind a face, one and a half before it, and twenty before it.
 
     From twenty on no fan's near plane reaches the face, not even that of 170 degrees with its corners.
@@ -182,12 +184,13 @@ def test_back_faces_are_culled_unless_the_near_plane_may_cut_a_closed_body():
     for _ in range(50):
         pose = random_rotation(rng)
         pose[:3, 3] = rng.uniform(-20, 20, 3)
+        state = SceneState((pose @ np.diag([scale, scale, scale, 1.0]))[None], np.ones(1, bool))
         for mesh, distances in ((box, {-0.5: False, 1.5: False, 20.0: True}), (lid, {-0.5: True})):
             some = scene_meshes.SceneMeshes()
             some.add([sg.Body("body", mesh, pose)])
             for distance, is_outside in distances.items():
-                sonar = before_face(rng, mesh, pose, distance * scene_meshes.NEAR_M)
-                assert some.view_from(sonar).outside == is_outside, distance
+                sonar = before_face(rng, mesh, state.poses[0], distance * scene_meshes.NEAR_M / scale)
+                assert some.view_from(sonar, state).outside == is_outside, distance
 
 
 @pytest.mark.parametrize("engine", ["cpu", "opengl"])
