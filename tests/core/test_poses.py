@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from sonar_gl.core import poses as module
 from sonar_gl.core.errors import Error
-from sonar_gl.core.poses import check_pose, pose, pose_numbers, read_poses
+from sonar_gl.core.poses import check_pose, pose, pose_numbers, read_poses, scales_of
 from sonar_gl.scene.scene import Body
 from tests.support.errors import error_of
 
@@ -273,6 +273,18 @@ def test_angles_of_too_many_turns_are_refused(message, monkeypatch):
     monkeypatch.setattr(module, "MAX_UNWRAPPED_RAD", 20.0)
     text = message(*(f"{k},0,0,0,0,0,{3 * k}" for k in range(10)))
     assert text.startswith("line 9: pose angles must be radians") and "yaw = 0 0 21;" in text
+
+
+def test_the_scale_of_rotations_is_exactly_one_and_that_of_others_theirs():
+    """Also of rotations as float32 holds them, whose columns are not of length 1 to the last bit of float64."""
+    rotations = Rotation.random(200, random_state=1).as_matrix()
+    poses = np.tile(np.eye(4), (200, 1, 1))
+    poses[:, :3, :3] = rotations.astype(np.float32)
+    assert ((poses[:, :3, 0] ** 2).sum(axis=1) != 1).any()
+    assert (scales_of(poses) == 1).all()
+    for scale in (1e-3, 0.999, 1.001, 1e3):
+        poses[:, :3, :3] = scale * rotations
+        np.testing.assert_allclose(scales_of(poses), scale, rtol=1e-15 * 4)
 
 
 def test_only_rotations_and_translations_are_poses():

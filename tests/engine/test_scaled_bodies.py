@@ -257,6 +257,29 @@ def test_a_body_has_changed_much_once_its_area_has_doubled(before, after, turn_r
     assert trigger.is_far(one, other) == is_far
 
 
+@pytest.mark.parametrize(
+    ("scale", "reflectivity", "is_far"),
+    [
+        (1.0, 0.6, False),
+        (1.5, 0.6, True),  # 2.25 times the area
+        (1.5, 0.4, False),  # 1.8 times the echo
+        (1.3, 0.6, True),  # 1.69 times the area, 2.03 times the echo
+        (0.8, 0.35, True),
+    ],
+)
+def test_a_body_has_changed_much_once_its_area_times_its_reflectivity_has_doubled(
+    scale, reflectivity, is_far
+):
+    trigger = ReplanTrigger(SONAR, lambda state: state.reflectivity)
+    states = [
+        SceneState(scaled(sg.pose(6), scale)[None], np.ones(1, bool), reflectivity=np.array([mu]))
+        for scale, mu in ((1.0, 0.5), (scale, reflectivity))
+    ]
+    one, other = (SimpleNamespace(head_pose=POSE, state=state) for state in states)
+    assert trigger.is_far(one, other) == is_far
+    assert trigger.is_far(other, one) == is_far
+
+
 def test_a_model_is_scaled_as_a_whole_and_its_bubbles_keep_their_size():
     tail = sg.Body("fish::tail", BOX, sg.pose(6.5, 1.0, 0.1, yaw=0.2), 0.8)
     body = sg.Body("fish::body", BALL, sg.pose(6, 1.0, 0.1), 0.8)
@@ -287,6 +310,24 @@ def test_any_scale_near_1_is_one(part):
         for power in np.arange(-7, -3, 0.1):
             for sign in (-1, 1):
                 simulator.place({part: scaled(sg.pose(6, 1, 0, 0.3, 0.2, 0.1), 1 + sign * 10**power)})
+
+
+def test_of_bodies_in_one_plane_that_reflects_which_is_the_largest_in_the_ping():
+    large, small = (trimesh.creation.box((side_m, side_m, 0.5)) for side_m in (4.0, 3.0))
+    for mesh in (large, small):
+        mesh.apply_translation([0, 0, -0.25])  # a scale leaves its upper side in the plane
+    beside = sg.Body("beside", large, sg.pose(3, -3.5, -1), 0.1)
+    ball = sg.Body("ball", BALL, sg.pose(6, 0.5, 0.3))
+    pose = sg.pose(3, 2, -1)
+    twice = small.copy().apply_scale(2.0)
+    scenes = [sg.Scene([beside, ball, sg.Body("floor", mesh, pose, 0.9)]) for mesh in (small, twice)]
+    acoustics = sg.Acoustics.physical(multipath="incoherent")
+    with (
+        sg.Simulator(scenes[0], SONAR, acoustics, SAMPLING) as one,
+        sg.Simulator(scenes[1], SONAR, acoustics, SAMPLING) as other,
+    ):
+        got, expected = one.ping(POSE, bodies={"floor": scaled(pose, 2.0)}), other.ping(POSE)
+    np.testing.assert_array_equal(got.intensity, expected.intensity)
 
 
 @pytest.mark.parametrize(
