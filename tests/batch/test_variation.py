@@ -302,6 +302,7 @@ def test_a_body_without_a_clear_place_is_absent(tmp_path):
     assert found(one, two, three | {"y_m": 0.29}) == {"box_1": 0.3, "box_2": None, "box_3": None}
     assert found(one, two, three | {"y_m": 0.31}) == {"box_1": 0.3, "box_2": None, "box_3": 0.61}
     assert found(one, one | {"y_m": 0.1}) == {"box_1": 0.4}
+    assert found(one, two, two | {"y_m": 0.31}) == {"box_1": 0.3, "box_2": 0.61}
     assert found(one, one | {"there": 0.0}, two) == {"box_1": None, "box_2": 0.3}
 
 
