@@ -232,7 +232,7 @@ def _cosines(camera: Camera, image: DepthImage, planar: bool) -> np.ndarray:
     with np.errstate(all="ignore"):
         # 1/Z of the plane p . x = 1 is p . K^-1 (i, j, 1)
         (across, bend_across), (down, bend_down) = slope_and_bend(0, 1), slope_and_bend(1, 0)
-        x, y = K[0, 0] * across, K[0, 1] * across + K[1, 1] * down
+        x, y = K[:2, :2].T @ np.stack([across, down])
         u, v, _ = rays(j, i).T
         planes = np.stack([x, y, inverse(j, i) - x * u - y * v], axis=-1)
         normals, sizes = image.normals[j, i].astype(np.float64), np.linalg.norm(planes, axis=-1)

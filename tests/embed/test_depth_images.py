@@ -456,6 +456,16 @@ def test_normals_of_poles_before_a_wall_fit_the_depths():
     assert hints(depth, camera, normals=normals[..., ::-1])  # of the wall, between
 
 
+@pytest.mark.parametrize(("entry", "normal"), [((0, 1), [0, 1, 0]), ((1, 0), [0, 0, 1])])
+def test_normals_fit_the_depths_of_a_camera_that_shears_its_image(entry, normal):
+    K = np.array(sg.Camera.of_fov(200, 100, math.radians(90), math.radians(60)).intrinsics)
+    K[entry] = 1.2 * K[0, 0]
+    camera = sg.Camera(200, 100, K)
+    _, depth, normals, _ = Cast(plane(normal, 2.0), plane(np.negative(normal), 2.0)).images(camera)
+    assert not [hint for hint in hints(depth, camera, normals=normals) if "normals" in hint]
+    assert hints(depth, camera, normals=np.roll(normals, 1, axis=-1))[-1].startswith("normals do not fit")
+
+
 def test_depth_in_float16_gives_a_hint():
     _, depth, _, _ = ROOM_CAST.images(CAMERA)
     rounded = depth.astype(np.float16)
