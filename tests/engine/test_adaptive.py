@@ -153,9 +153,10 @@ class TestMoving:
             monkeypatch.setattr(error_model.ErrorModel, "judge", lambda *of: judge(*of)._replace(steps=8))
             sampler = simulator.run.sampler
             sampler.choice = replace(sampler.choice, level=2, is_due=True)
+            setup = simulator.run.set_up(PingRequest(np.eye(4)))
             with simulator.run.drawing():
                 stage = sampler.resolution.stage
-                (view,) = stage.draw([np.eye(4)], [simulator.run.set_up(PingRequest(np.eye(4))).state])
+                (view,) = stage.draw([setup.head_pose], [setup.state])
                 coverage = stage.coverage(view)
             times = sampler.search.model.sampling_at(5).count(SONAR) / stage.sampling.count(SONAR)
             median = share * cost_of(times * stage.fan.n_samples, coverage) / 1.65
