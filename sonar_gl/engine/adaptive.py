@@ -223,7 +223,7 @@ class AdaptiveSampling:
         return replace(choice, level=level, finest=finest, is_due=True)
 
     def _cost(self, level: int, coverage: float) -> float:
-        """Return about what a ping costs without a check of its error, in samples with an echo.
+        """Return about what a ping costs without a check of its error, in samples that met a body.
 
         coverage : as of `Stage.coverage`
         """
@@ -241,7 +241,7 @@ class AdaptiveSampling:
         return CHECK_COST * self._cost(level, coverage) <= MOST_COST * _usual(costs)
 
     def costs_as_expected(self, received: ReceivedPing) -> bool:
-        """Return whether a ping costs about what was expected: as many of its samples as before return an echo."""
+        """Return whether a ping costs about what was expected: as many of its samples as before met bodies."""
         return self._costs_as_expected(received.coverage)
 
     def _costs_as_expected(self, coverage: float) -> bool:
@@ -416,7 +416,7 @@ class AdaptiveSampling:
 
 
 def cost_of(sonar: Sonar, acoustics: Acoustics, n_samples: float, coverage: float) -> float:
-    """Return about what a ping costs, in samples with an echo; coverage : as of `Choice`."""
+    """Return about what a ping costs, in samples that met a body; coverage : as of `Choice`."""
     of_bins = (FILTERED_BIN if acoustics.pulse else BARE_BIN) * sonar.n_beams * sonar.n_bins
     return FIXED_SAMPLES + of_bins * (1 + COVERED_BIN * coverage) + n_samples * coverage
 

@@ -27,7 +27,9 @@ MAX_STAGES = 48  # the levels of pings that choose their samples alone, of image
 MAX_BYTES = 40e6  # of tables in all stages but the last two
 # The memory of views is given back where so many in a row have so many times fewer samples than the largest before.
 KEPT_VIEWS, MUCH_FEWER = 100, 4
-DARK_SAMPLE = 0.12  # time that a sample without an echo takes, if it is drawn, relative to one with an echo
+EMPTY_SAMPLE = (
+    0.12  # time that a sample which met nothing takes, if it is drawn, relative to one that met a body
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +68,11 @@ class Stage:
         ]
 
     def coverage(self, view: ViewSamples) -> float:
-        """Return the share of the fan's samples that take time in a view: those with an echo, a little of the others.
+        """Return the share of the fan's samples that take time: those that met a body, and a little of the others.
 
         First asked for while they are valid.
         """
-        n_dark = view.n_samples - view.n_with_echo
-        return (view.n_with_echo + DARK_SAMPLE * n_dark) / self.fan.n_samples
+        return (view.n_met + EMPTY_SAMPLE * (view.n_samples - view.n_met)) / self.fan.n_samples
 
     def with_bubbles(self, view: ViewSamples, bubbles, pose) -> ViewSamples:
         """Return a view attenuated behind bubbles, and with their echoes, see `attenuate_behind_bubbles`."""

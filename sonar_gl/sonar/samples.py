@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numba import uint64
 
 from sonar_gl.core.compiled import compiled
 from sonar_gl.sonar.sector import Sector
@@ -69,14 +70,14 @@ def with_neighbours(limits: Sequence[int], columns: int, rows: int) -> tuple[int
 
 
 @compiled
-def _count_echoes(plane_echo, places):
-    """Return how many samples of some sectors return an echo; arguments of `ViewSamples` and `SectorTable`."""
+def _count_met(body_id, places):
+    """Return how many samples of some sectors met a body; arguments of `ViewSamples` and `SectorTable`."""
     count = 0
     for s in range(places.shape[0]):
         left, columns, rows = places[s, 0], places[s, 1], places[s, 2]
         for j in range(rows):
-            for i in range(left, left + columns):
-                count += plane_echo[j, i, 3] > np.float32(0.0)
+            for i in range(uint64(left), uint64(left + columns)):
+                count += body_id[j, i] != 0
     return count
 
 
@@ -183,9 +184,11 @@ class ViewSamples:
         return sum(one.sector.columns * one.sector.rows for one in self.sectors)
 
     @cached_property
-    def n_with_echo(self) -> int:
-        """How many samples return an echo: all, where a host rendered them. First asked for while they are valid."""
-        return self.n_samples if self.table is None else _count_echoes(self.plane_echo, self.table[0])
+    def n_met(self) -> int:
+        """How many samples met a body; all, where that is not known. First asked for while they are valid."""
+        if self.table is None or not self.body_id.size:
+            return self.n_samples
+        return _count_met(self.body_id, self.table[0])
 
     def with_echo(self) -> ViewSamples:
         """Return the windows of this view's sectors that hold all samples with an echo, without bubbles."""

@@ -156,7 +156,7 @@ class TestMoving:
             setup = simulator.run.set_up(PingRequest(np.eye(4)))
             with simulator.run.drawing():
                 stage = sampler.resolution.stage
-                (view,) = stage.draw([setup.head_pose], [setup.state])
+                (view,) = stage.draw([setup.head_pose], [setup.state], with_bodies=True)
                 coverage = stage.coverage(view)
             times = sampler.search.model.sampling_at(5).count(SONAR) / stage.sampling.count(SONAR)
             median = share * cost_of(times * stage.fan.n_samples, coverage) / 1.65
@@ -167,7 +167,7 @@ class TestMoving:
     @pytest.mark.parametrize("is_checked", [False, True])
     @pytest.mark.parametrize("most", [2.3, math.inf])
     def test_a_view_that_fills_has_fewer_samples_at_once(self, simulator, is_checked, most, monkeypatch):
-        """Fine samples cost little where few return an echo. Without a limit they stay as a body comes into view."""
+        """Fine samples cost little where few meet a body. Without a limit they stay as a body comes into view."""
         monkeypatch.setattr(adaptive, "MOST_COST", most)
         calls, sampler = record_estimates(monkeypatch), simulator.run.sampler
         coverage = sampler.choice.coverage
