@@ -202,6 +202,19 @@ class TestMoving:
         assert bool(calls) == is_checked and sampler.choice.is_due == (not is_checked)
         assert sampler.choice.level == choice.level and sampler.choice.coverage == choice.coverage
 
+    @pytest.mark.parametrize(("share", "is_made_again"), [(0.8, True), (0.95, False), (1.0, False)])
+    def test_a_ping_made_ahead_that_costs_other_than_expected_is_made_again(
+        self, simulator, share, is_made_again
+    ):
+        """As a single ping, it changes what the next ones may cost."""
+        run = simulator.run
+        setup = run.set_up(PingRequest(np.eye(4)))
+        with run.drawing():
+            (drawn,) = pipeline.draw(None, [setup], run.resolution_ahead)
+            received = pipeline.receive(drawn)
+            received = replace(received, coverage=share * received.coverage)
+            assert run.review_ahead(received, run.sampler.choice) == is_made_again
+
     @pytest.mark.slow
     def test_memory_is_given_back_once_many_pings_had_far_fewer_samples(self, simulator, monkeypatch):
         """A sonar that turns to and fro would take it anew each time, which takes longer than its samples."""
