@@ -240,11 +240,11 @@ class AdaptiveSampling:
         """Return whether a ping of a level, whose cost is the last of these, may cost a check of its error, too."""
         return CHECK_COST * self._cost(level, coverage) <= MOST_COST * _usual(costs)
 
-    def costs_as_expected(self, received: ReceivedPing) -> bool:
-        """Return whether a ping costs about what was expected: as many of its samples as before met bodies."""
-        return self._costs_as_expected(received.coverage)
+    def costs_as_expected(self, coverage: float) -> bool:
+        """Return whether a ping costs about what was expected: as many of its samples as before met bodies.
 
-    def _costs_as_expected(self, coverage: float) -> bool:
+        coverage : as of `Stage.coverage`
+        """
         choice = self.choice
         if choice.is_planned:
             return True
@@ -254,11 +254,11 @@ class AdaptiveSampling:
     def affordable(self, drawn: DrawnPing) -> Resolution:
         """Return the resolution with which a ping that was drawn is to be received, so that it does not stall a loop.
 
-        Fewer samples, or the same ones without a check, if the view returns much more echo than those before: where a
-        sonar sees little, it has fine samples, which cost little until a body comes into view.
+        Fewer samples, or the same ones without a check, if many more of them met bodies than in the pings before: where
+        a sonar sees little, it has fine samples, which cost little until a body comes into view.
         """
         resolution, choice, coverage = drawn.resolution, self.choice, drawn.coverage
-        if resolution.is_final or self._costs_as_expected(coverage):
+        if resolution.is_final or self.costs_as_expected(coverage):
             return resolution
         costs, level = self.history.costs, choice.level
         is_loop, usual = len(costs) >= LOOP_PINGS, _usual(costs)
@@ -416,7 +416,7 @@ class AdaptiveSampling:
 
 
 def cost_of(sonar: Sonar, acoustics: Acoustics, n_samples: float, coverage: float) -> float:
-    """Return about what a ping costs, in samples that met a body; coverage : as of `Choice`."""
+    """Return about what a ping costs, in samples that met a body; coverage : as of `Stage.coverage`."""
     of_bins = (FILTERED_BIN if acoustics.pulse else BARE_BIN) * sonar.n_beams * sonar.n_bins
     return FIXED_SAMPLES + of_bins * (1 + COVERED_BIN * coverage) + n_samples * coverage
 

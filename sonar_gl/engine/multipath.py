@@ -418,9 +418,8 @@ class ImageSources:
         and offset in the sonar's frame, the offset positive.
         """
         pose, state = ping.pose, ping.state
-        squares = np.append(
-            np.where(state.present, scales_of(state.poses) ** 2, 0.0), 1.0
-        )  # last: of no body
+        squares = np.where(state.present, scales_of(state.poses) ** 2, 0.0)
+        squares = np.append(squares, 1.0)  # of no body
         areas_m2 = [one.area_m2 * squares[-1 if one.body is None else one.body] for one in self._reflectors]
         large = [n for n, area_m2 in enumerate(areas_m2) if area_m2 >= MIN_AREA_M2]
         if not large:

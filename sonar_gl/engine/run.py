@@ -284,7 +284,7 @@ class Run:
         sampler = self.sampler
         if choice is not sampler.choice or sampler.has_changed(received.direct.total):
             return True
-        if not sampler.costs_as_expected(received):
+        if not sampler.costs_as_expected(received.coverage):
             return True
         # those before may have changed how finely it has to be sampled
         return self.image_sampling.begin(check=False) != resolution.halvings or self._review_images(received)

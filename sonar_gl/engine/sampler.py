@@ -62,8 +62,8 @@ class Sampler(Protocol):
     def affordable(self, drawn: DrawnPing) -> Resolution:
         """Return the resolution with which to receive a ping that was drawn: its own, unless that stalls a loop."""
 
-    def costs_as_expected(self, received: ReceivedPing) -> bool:
-        """Return whether `affordable` left, or would leave, all as it was for a ping."""
+    def costs_as_expected(self, coverage: float) -> bool:
+        """Return whether `affordable` leaves all as it is for a ping of a coverage, as of `Stage.coverage`."""
 
     def follow(self, setup: PingSetup, plan: Plan, total: float, coverage: float, n_pings: int) -> None:
         """Have later pings follow samples that were chosen from a ping alone, by this sampler or in another thread.
@@ -122,7 +122,7 @@ class FixedSampling:
         """Return the ping's own."""
         return drawn.resolution
 
-    def costs_as_expected(self, received: ReceivedPing) -> bool:
+    def costs_as_expected(self, coverage: float) -> bool:
         """Return True."""
         return True
 

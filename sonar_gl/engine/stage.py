@@ -27,9 +27,7 @@ MAX_STAGES = 48  # the levels of pings that choose their samples alone, of image
 MAX_BYTES = 40e6  # of tables in all stages but the last two
 # The memory of views is given back where so many in a row have so many times fewer samples than the largest before.
 KEPT_VIEWS, MUCH_FEWER = 100, 4
-EMPTY_SAMPLE = (
-    0.12  # time that a sample which met nothing takes, if it is drawn, relative to one that met a body
-)
+EMPTY_SAMPLE = 0.12  # time of a sample that is drawn and met nothing, relative to one that met a body
 
 
 @dataclass(frozen=True, eq=False)
