@@ -1,6 +1,5 @@
 """The web page of a live session, told by messages as a browser sends them."""
 
-import gc
 import re
 import threading
 import time
@@ -358,55 +357,6 @@ def test_numbers_that_are_no_pose_are_refused(session, browser, place):
     session.set_pose(sg.pose(1, 0, -5))
     for node in ("/sonar", "/move_sonar"):
         wait_until(lambda node=node: browser.nodes[node].get("position") == [1.0, 0.0, -5.0])
-
-
-IGNORED = "a message to the page is ignored, as no browser sends such "
-
-
-@pytest.mark.filterwarnings("ignore:Queued a SetCamera")  # by viser, of a browser that has gone
-def test_messages_of_no_browser_are_told_in_a_sentence_each_and_counted(session, page, browser, caplog):
-    range_id = browser.uuid("range, m")
-    for _ in range(2):
-        browser.change("range, m", "ab\x9bc")
-        browser.change("range, m", [1, 2])
-        browser.send(type="GuiUpdateMessage", uuid=range_id, updates={"nosuch": 1})
-        for wrong in ("text", b"", b"\xc1", b"\x81\xa4type\xa6nosuch"):  # the last names an unknown type
-            with connected(page.url) as one:
-                one.send_raw(wrong)
-                one.wait_closed()
-    browser.change("range, m", 15.0)
-    wait_until(lambda: session.settings.range_m == 15.0)
-    gc.collect()  # asyncio tells of a task that has failed when it is collected
-    page.close()
-    texts = [record.getMessage() for record in caplog.records]
-    assert sorted(texts[:-1]) == [
-        IGNORED + why
-        for why in (
-            "(AssertionError; others like it are only counted)",
-            "(DecodeError: 'Input data was truncated'; others like it are only counted)",
-            "(KeyError: \"'nosuch'\"; others like it are only counted)",
-            """(TypeError: "float() argument must be a string or a real number, not 'list'"; others like it are only """
-            "counted)",
-            """(ValueError: "could not convert string to float: 'ab\\\\x9bc'"; others like it are only counted)""",
-        )
-    ]
-    assert texts[-1] == "14 messages to the page were ignored, as no browser sends such"
-    assert not any(record.exc_info for record in caplog.records)
-
-
-def test_a_failure_of_the_page_itself_keeps_its_traceback(browser, monkeypatch, caplog):
-    def failing(_text):
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(page_module.BrowserState, "read", failing)
-    browser.tell()
-
-    def told():
-        gc.collect()
-        return [record for record in caplog.records if record.exc_info]
-
-    record = wait_until(told)[0]
-    assert record.exc_info[0] is ZeroDivisionError and record.name == "asyncio"
 
 
 @pytest.mark.slow

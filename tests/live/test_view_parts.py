@@ -20,7 +20,6 @@ from sonar_gl.live.pictures import OUTLINE_WIDTH, outlined, picture_of, pixel_ce
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.view.actions import Actions
 from sonar_gl.live.view.browser_state import FIELD, BrowserState, script_html
-from sonar_gl.live.view.control_panel import chosen
 from sonar_gl.live.view.origin import is_other_site
 from sonar_gl.live.view.outline import PictureSector, fan_arcs, fan_outline
 from sonar_gl.live.view.ping_panel import HELP_HTML, PANEL
@@ -314,14 +313,6 @@ def test_a_range_beyond_the_limit_of_a_sonar_becomes_the_limit():
 
 def test_a_range_that_is_too_near_for_a_sonar_becomes_its_own():
     assert allowed_range_m(replace(SONAR, range_min_m=2.0), 2.0) == SONAR.range_max_m
-
-
-def test_a_choice_that_the_page_does_not_offer_is_refused():
-    assert chosen("fan", ("fan", "polar"), "form") == "fan"
-    assert chosen("a", {"a": 1}, "sonar") == 1
-    for text in ("/etc/passwd", "../sonar.toml", ""):
-        with pytest.raises(Error, match="must be one of those that the page offers"):
-            chosen(text, {"a": 1}, "sonar")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
@@ -32,29 +32,13 @@ PANEL_WIDTH = 330  # pixels of the page
 SHORT_LABELS = {"volume reverberation": "volume reverb."}  # of terms whose names would wrap
 
 
-def chosen(value, allowed: Mapping[str, object] | tuple[str, ...], what: str):
-    """Return what a name stands for; Error for other names, since a browser may send any text."""
-    if value not in allowed:
-        raise Error(f"{what} must be one of those that the page offers (got {str(value)[:80]!r})")
-    return allowed[value] if isinstance(allowed, Mapping) else value
-
-
 class ControlPanel:
     """The panel on the right.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-    session : LiveSession
-    actions : Actions
     on_mover : action of (client, one of KEYS, CAMERA and TRAJECTORY) when another one is chosen
     on_body : action of a body's name that was chosen; "" for none
     on_picture : action of whether the picture lies in the scene
     on_marks : action of whether lines of range and azimuth lie over the picture
-
-    Attributes
-    ----------
-    speed_m_s : of the sonar while a key is held, metres per second
     """
 
     def __init__(
@@ -74,7 +58,7 @@ class ControlPanel:
         self._pricing: Thread | None = None
         self._priced: tuple | None = None  # what the prices on show are of
         self._is_closed = False
-        self.speed_m_s = SPEED_M_S
+        self.speed_m_s = SPEED_M_S  # of the sonar while a key is held
         settings = session.settings
         self._sonars, self._n_given = dict(presets()), 0
         self._name_of_sonar(session.scene.sonar or settings.sonar)
@@ -173,7 +157,7 @@ class ControlPanel:
         dropdown = self._gui.add_dropdown(
             label, options, initial_value=shown(self._session.settings), hint=hint
         )
-        self._connect(dropdown, shown, lambda name: change(chosen(name, options, label)))
+        self._connect(dropdown, shown, change)
 
     def _add_motion(self, on_mover) -> None:
         gui = self._gui
@@ -189,16 +173,10 @@ class ControlPanel:
             self._add_number(
                 NumberScale("speed, m/s", 0.1, 10.0, 0.1, 1),
                 lambda _settings: self.speed_m_s,
-                self._set_speed,
+                lambda speed_m_s: setattr(self, "speed_m_s", speed_m_s),
                 "Of the sonar while a key is held.",
             )
-        self._actions.connect_from(
-            self._mover,
-            lambda client, value: on_mover(client, chosen(value, movers, "what moves the sonar")),
-        )
-
-    def _set_speed(self, speed_m_s: float) -> None:
-        self.speed_m_s = speed_m_s
+        self._actions.connect_from(self._mover, on_mover)
 
     def _add_sonar(self, settings: LiveSettings) -> None:
         gui, session = self._gui, self._session
@@ -240,7 +218,7 @@ class ControlPanel:
 
     def _change_sonar(self, client, name: str) -> None:
         """Take another sonar, at the range that is set, or else at one that it allows, and say so."""
-        sonar, range_m = chosen(name, self._sonars, "sonar"), self._session.settings.device.range_max_m
+        sonar, range_m = self._sonars[name], self._session.settings.device.range_max_m
         allowed_m = allowed_range_m(sonar, range_m)
         own = allowed_m == sonar.range_max_m  # no range beside that of the sonar in command lines
         self._session.change(sonar=sonar, range_m=None if own else allowed_m)
@@ -390,8 +368,7 @@ class ControlPanel:
                 hint="Its echoes are outlined, and it can be dragged in 3D. A click at it selects it, too.",
             )  # fmt: skip
             back = gui.add_button("Put all back")
-        allowed = {NO_BODY: "", **{name: name for name in names}}
-        self._actions.connect(self._body, lambda name: on_body(chosen(name, allowed, "body")))
+        self._actions.connect(self._body, lambda name: on_body("" if name == NO_BODY else name))
         self._actions.connect_button(back, lambda _: self._session.reset_bodies())
 
     def _add_files(self) -> None:

@@ -10,6 +10,8 @@ from urllib.parse import urlsplit
 
 from sonar_gl.core.hosts import is_local
 
+SERVER_LOGGER, NO_REQUEST = "websockets.server", "opening handshake failed"  # of websockets
+
 
 def is_other_site(origin: str | None, host: str | None, listens_at: str) -> bool:
     """Return whether a request comes from a web site other than the page itself.
@@ -37,14 +39,16 @@ def is_other_site(origin: str | None, host: str | None, listens_at: str) -> bool
 
 
 @contextmanager
-def own_page_alone(listens_at: str, logger: logging.Logger):
-    """Have servers of viser that are made meanwhile refuse requests of other sites, and log by a logger.
+def own_page_alone(listens_at: str):
+    """Have servers of viser that are made meanwhile refuse requests of other sites, for which viser has no option.
 
-    viser has no options for either.
+    Nor do they log a traceback for each browser that connects beforehand, and asks for nothing.
     """
     from websockets.asyncio import server  # of viser, which takes `serve` from this module
 
-    serve = server.serve
+    serve, logger = server.serve, logging.Logger(SERVER_LOGGER)
+    logger.parent = logging.getLogger(SERVER_LOGGER)
+    logger.addFilter(lambda record: record.getMessage() != NO_REQUEST)
 
     def checked(*values, process_request: Callable | None = None, **options):
         def check(connection, request):

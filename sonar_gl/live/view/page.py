@@ -19,7 +19,6 @@ from sonar_gl.live.view.control_panel import CAMERA, KEYS, TRAJECTORY, ControlPa
 from sonar_gl.live.view.origin import own_page_alone
 from sonar_gl.live.view.ping_panel import PingPanel
 from sonar_gl.live.view.scene_nodes import SceneNodes
-from sonar_gl.live.view.wrong_messages import WrongMessages
 
 logger = logging.getLogger(__name__)
 
@@ -36,9 +35,9 @@ LONGEST_NODES_S = 1.5  # between two changes of the scene for slow browsers, at 
 class ViewerPage:
     """Serves the page until it is closed. Several browsers may show it; what one changes, all see.
 
-    Parameters
-    ----------
-    session : LiveSession, which pings while a browser shows the page
+    Raises Error if viser is missing, or the host is no address of this machine.
+
+    session : which pings while a browser shows the page
     host : address to listen at
     port : to listen at; 0 for any that is free. If another program has it, the page takes a later one
 
@@ -47,21 +46,14 @@ class ViewerPage:
     url : address of the page
     server : viser.ViserServer, to which programs may add nodes and controls of their own
     marked : Surface that the last click in the picture has marked; None for none
-
-    Raises
-    ------
-    Error
-        if viser is missing, or the host is no address of this machine.
     """
 
     def __init__(self, session: LiveSession, host: str = "127.0.0.1", port: int = 8080):
         viser = load_viser()
         check_host(host)  # for another viser would wait for ever
         self._session, self._is_closed = session, False
-        self._wrong_messages = WrongMessages()
-        with _quiet_viser(), own_page_alone(host, self._wrong_messages.server_logger):
+        with _quiet_viser(), own_page_alone(host):
             self.server = viser.ViserServer(host=host, port=port, label="sonar-gl view", verbose=False)
-        self._wrong_messages.watch(self.server.get_event_loop())
         with contextlib.ExitStack() as opened:
             opened.callback(self._stop_server)
             self._build(host)
@@ -103,7 +95,6 @@ class ViewerPage:
         if self._listener is not None:
             self._listener.close()
         self._stop_server()
-        self._wrong_messages.close()
 
     def _stop_server(self) -> None:
         with _quiet_viser():
