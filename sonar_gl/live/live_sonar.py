@@ -14,7 +14,6 @@ from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.live.body_poses import scene_poses
 from sonar_gl.live.command_line import rounded_pose_numbers
 from sonar_gl.live.frame import LiveFrame, Surface
 from sonar_gl.live.pictures import picture_of, pixel_cells, pixels_of, still_of
@@ -37,37 +36,27 @@ KEPT_LABELS = 4  # pings whose labels are kept for read-outs
 
 @dataclass(frozen=True, eq=False)
 class FrameRequest:
-    """What a ping of a live session depends on, taken at one moment.
-
-    Attributes
-    ----------
-    settings : LiveSettings
-    place : TimedPose of the sonar
-    bodies : names of the bodies that were moved, as `BodyPoses.moved`
-    highlight : name of the body whose pixels the frame has; "" for none
-    gain_from : LiveFrame by whose gain bins of a highlighted body are black or not; None for the first ping
-    rate_from_s : `time.monotonic` from which on pings count for the ping rate
-    """
+    """What a ping of a live session depends on, taken at one moment."""
 
     settings: LiveSettings
-    place: TimedPose
+    place: TimedPose  # of the sonar
+    # names of the bodies and plumes that were moved, to (4, 4) world_from_body, or None for those taken away
     bodies: Mapping[str, np.ndarray | None]
-    highlight: str = ""
+    highlight: str = ""  # name of the body whose pixels the frame has; "" for none
+    # by whose gain bins of a highlighted body are black or not; None for the first ping
     gain_from: LiveFrame | None = None
-    rate_from_s: float = -math.inf
+    rate_from_s: float = -math.inf  # `time.monotonic` from which on pings count for the ping rate
 
 
 class LiveSonar:
     """Makes frames of one scene. To be used by one thread, then closed.
 
-    Parameters
-    ----------
-    scene : Scene, which stays as it is
     began_s : `time.monotonic` at which the clock of the frames is 0
     """
 
     def __init__(self, scene: Scene, began_s: float):
-        self._scene, self._home, self._began_s = scene, scene_poses(scene), began_s
+        self._scene, self._began_s = scene, began_s
+        self._home = {one.name: one.pose for one in scene.bodies_and_plumes}
         self._pool = SimulatorPool(scene)
         self._number, self._pinged_s = 0, deque()
         # until the first is moved, bodies stay where the simulators have them

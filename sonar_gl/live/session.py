@@ -1,27 +1,27 @@
 """A sonar that pings a scene again and again, while its settings, its pose and the bodies change.
 
-`LiveSession` is the interface, and joins the parts: `SonarMotion` and `BodyPoses` know where all is, `SettingsTrial`
-what to ping with; `LiveSonar` makes the frame of a ping, and `PingThread` says when. The last section has the way of a
-ping from request to listeners.
+`LiveSession` is the interface, and joins the parts: `SonarMotion` knows where the sonar is, `SettingsTrial` what to
+ping with; `LiveSonar` makes the frame of a ping, and `PingThread` says when. The last section has the way of a ping
+from request to listeners.
 """
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from threading import RLock
 
 import numpy as np
 
 from sonar_gl.analysis.terms import Price, price
-from sonar_gl.core.checks import check_function, check_kind, check_whole_number
+from sonar_gl.core.checks import check_function, check_kind, check_whole_number, unknown_body_error
 from sonar_gl.core.errors import Error, copied_error
 from sonar_gl.core.listeners import Listener
 from sonar_gl.core.pose_track import PoseTrack
+from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
-from sonar_gl.live.body_poses import BodyPoses
 from sonar_gl.live.command_line import SceneSource
 from sonar_gl.live.frame import LiveFrame, LiveState, Reading, Surface
 from sonar_gl.live.key_motion import SPEED_M_S, TURN_RATE_RAD_S, moved
@@ -30,8 +30,7 @@ from sonar_gl.live.output import DEFAULT_FOLDER, LiveOutput
 from sonar_gl.live.pictures import pixel_cells, pixels_of
 from sonar_gl.live.ping_thread import PingThread
 from sonar_gl.live.readings import body_number, check_bin, reading_of
-from sonar_gl.live.settings import LiveSettings
-from sonar_gl.live.settings_trial import SettingsTrial
+from sonar_gl.live.settings import LiveSettings, SettingsTrial
 from sonar_gl.live.sonar_motion import SonarMotion
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
@@ -86,7 +85,10 @@ class LiveSession:
         self.output = LiveOutput(self, folder, source, job)
         began_s = time.monotonic()
         self._lock = RLock()  # guards all that follows but the sonar, which is the thread's alone
-        self._trial, self._bodies = SettingsTrial(settings), BodyPoses(scene)
+        self._trial = SettingsTrial(settings)
+        self._home = {one.name: one.pose for one in scene.bodies_and_plumes}
+        # a change makes another mapping, so that a ping may hold this one
+        self._moved: Mapping[str, np.ndarray | None] = {}
         self._motion = SonarMotion(pose, track, began_s)
         self._highlight, self._rate_from_s = "", began_s
         self._frame: LiveFrame | None = None
@@ -136,20 +138,15 @@ class LiveSession:
     def bodies(self) -> dict[str, np.ndarray | None]:
         """Return the names of all bodies and plumes, and where they are now: (4, 4) world_from_body."""
         with self._lock:
-            return self._bodies.all()
+            return {**self._home, **self._moved}
 
     # ---- settings -------------------------------------------------------------------------------------------
 
     def change(self, **values) -> LiveSettings:
         """Change some settings from the next ping on, as `LiveSettings.changed` does, and return the new ones.
 
-        Settings that turn out to be impossible when they are tried, such as more samples than a driver can draw, are
-        taken back: `state().problem` then says why.
-
-        Raises
-        ------
-        Error
-            if a value is invalid; the settings then stay as they are.
+        Raises Error if a value is invalid; the settings then stay as they are. Those that turn out to be impossible
+        when they are tried, such as more samples than a driver can draw, are taken back: `state().problem` says why.
         """
         with self._lock:
             settings = self._trial.settings.changed(**values)
@@ -166,16 +163,9 @@ class LiveSession:
     def prices(self, before_ping: Callable[[], None] = lambda: None) -> list[Price]:
         """Return what each term of acoustics and noise changes and costs here and now; takes seconds.
 
-        Pings go on meanwhile, more slowly.
+        Pings go on meanwhile, more slowly. Raises Error if the terms cannot be judged, or the session is closed.
 
-        Parameters
-        ----------
         before_ping : function called before each ping that this takes; what it raises ends the work, and is passed on
-
-        Raises
-        ------
-        Error
-            if the terms cannot be judged, or the session is closed meanwhile.
         """
 
         def check():
@@ -184,7 +174,7 @@ class LiveSession:
 
         check()  # a simulator takes long to make
         with self._lock:
-            settings, pose, bodies = self._trial.settings, self._motion.now().pose, dict(self._bodies.moved)
+            settings, pose, bodies = self._trial.settings, self._motion.now().pose, dict(self._moved)
         with (
             collected_warnings(),
             Simulator(
@@ -243,13 +233,16 @@ class LiveSession:
 
     def move_body(self, name: str, pose: np.ndarray | None) -> None:
         """Put a body, or a plume, elsewhere: (4, 4) world_from_body, or None to take it away."""
+        if not isinstance(name, str) or name not in self._home:
+            raise unknown_body_error(name, self._home, "a body that is moved must be one of the scene")
+        pose = None if pose is None else check_pose(pose, f"the pose of body {name!r}")
         with self._lock:
-            self._bodies.move(name, pose)
+            self._moved = {**self._moved, name: pose}
 
     def reset_bodies(self) -> None:
         """Put all bodies back to where the scene has them."""
         with self._lock:
-            self._bodies.reset()
+            self._moved = {}
 
     # ---- frames ---------------------------------------------------------------------------------------------
 
@@ -301,8 +294,8 @@ class LiveSession:
 
     def reading(self, frame: LiveFrame, beam: int, bin: int) -> Reading:
         """Return what stands in a bin of a frame's ping; makes it again with labels, once."""
-        place = check_bin(frame, beam, bin)
-        return reading_of(self.scene, frame.ping, self._labelled(frame), place)
+        beam, bin = check_bin(frame, beam, bin)
+        return reading_of(self.scene, frame.ping, self._labelled(frame), beam, bin)
 
     def surface_of(self, frame: LiveFrame, beam: int, bin: int) -> Surface:
         """Return the visible surface whose echo falls into a bin of a frame's ping.
@@ -310,8 +303,8 @@ class LiveSession:
         Its points are those of rays over the width of the beam and the main lobe in elevation. Echoes by way of image
         sources and of side lobes have no such point.
         """
-        place = check_bin(frame, beam, bin)
-        return self._thread.do(lambda: self._sonar.surface(frame, place.beam, place.bin))
+        beam, bin = check_bin(frame, beam, bin)
+        return self._thread.do(lambda: self._sonar.surface(frame, beam, bin))
 
     def bins_of(self, frame: LiveFrame, body: str) -> np.ndarray:
         """Return the bins of a frame's ping in which a body has the strongest echo, (B, K) bool."""
@@ -380,7 +373,7 @@ class LiveSession:
             return FrameRequest(
                 settings=self._trial.settings,
                 place=self._motion.now(),
-                bodies=self._bodies.moved,
+                bodies=self._moved,
                 highlight=self._highlight,
                 gain_from=self._frame,
                 rate_from_s=self._rate_from_s,

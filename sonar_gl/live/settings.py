@@ -122,15 +122,10 @@ class LiveSettings:
         return self.acoustics.water
 
     def changed(self, **values) -> LiveSettings:
-        """Return these settings with other values of some fields.
+        """Return these settings with other values of some fields; raise Error if a name is unknown or a value invalid.
 
         Beside the fields there are `water`, a Water, and `gain_db`, a fixed gain of the law of counts. Another sonar
         comes with its own range, bins and counts, unless they are given, too.
-
-        Raises
-        ------
-        Error
-            if a name is unknown or a value invalid.
         """
         known = [one.name for one in fields(self)] + ["water", "gain_db"]
         for name in values:
@@ -172,3 +167,39 @@ def term_names() -> list[str]:
 def _term(name: str) -> Term:
     check_choice("term", name, term_names())
     return next(term for term in TERMS if term.name == name)
+
+
+class SettingsTrial:
+    """The settings of the next ping, which are taken back if no ping can be made with them.
+
+    To be used by one thread at a time. There are none to go back to from those of the first ping.
+    """
+
+    def __init__(self, settings: LiveSettings):
+        self.settings = self._proven = settings  # of the next ping, and the last ones that one was made with
+        self._settings_problem = self._ping_problem = ""
+
+    @property
+    def problem(self) -> str:
+        """A sentence about why the last settings were not taken, or the last ping failed; "" if all is well."""
+        return self._settings_problem or self._ping_problem
+
+    def change(self, settings: LiveSettings) -> None:
+        """Take other settings for the next ping."""
+        self.settings, self._settings_problem = settings, ""
+
+    def succeed(self, settings: LiveSettings) -> None:
+        """Note that a ping was made with some settings."""
+        self._proven, self._ping_problem = settings, ""
+
+    def fail(self, settings: LiveSettings, problem: str) -> bool:
+        """Note why a ping failed with some settings, and take them back unless others have come since.
+
+        Returns whether other settings may be tried at once: the failure is not that of settings that worked before.
+        """
+        if settings == self._proven:
+            self._ping_problem = problem
+            return False
+        if settings == self.settings:
+            self.settings, self._settings_problem = self._proven, problem
+        return True

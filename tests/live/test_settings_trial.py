@@ -1,7 +1,6 @@
 """Settings that are taken back if no ping can be made with them."""
 
-from sonar_gl.live.settings import LiveSettings
-from sonar_gl.live.settings_trial import SettingsTrial
+from sonar_gl.live.settings import LiveSettings, SettingsTrial
 
 FIRST = LiveSettings("p900-45")
 SECOND, THIRD = FIRST.changed(range_m=5.0), FIRST.changed(range_m=6.0)
