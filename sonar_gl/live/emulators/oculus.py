@@ -48,16 +48,10 @@ GAIN_DB_PER_PERCENT = 0.6  # of the fixed gain; not published, chosen so that 50
 
 @dataclass(frozen=True)
 class OculusModel:
-    """A model of the Oculus family.
+    """A model of the Oculus family."""
 
-    Attributes
-    ----------
-    part_number : that the device announces, OculusPartNumberType in Oculus.h
-    presets : names of the sonars in low and in high frequency mode
-    """
-
-    part_number: int
-    presets: tuple[str, str]
+    part_number: int  # that the device announces, OculusPartNumberType in Oculus.h
+    presets: tuple[str, str]  # names of the sonars in low and in high frequency mode
 
 
 MODELS = {
@@ -71,10 +65,6 @@ MODELS = {
 class OculusHead:
     """Answers fire messages by pings.
 
-    Parameters
-    ----------
-    model : OculusModel
-    head : SimulatedHead
     counts : changes of the presets' laws of counts, in what fire messages do not set
     """
 
@@ -82,13 +72,7 @@ class OculusHead:
         self.model, self.head, self._counts = model, head, counts or {}
 
     def sonar(self, fire: FireMessage) -> Sonar:
-        """Return the sonar with the settings of a fire message.
-
-        Raises
-        ------
-        WrongFireError
-            if the range is beyond that of the device.
-        """
+        """Return the sonar with the settings of a fire message; WrongFireError if the range is too long for it."""
         is_high = fire.mode == HIGH_FREQUENCY
         preset = load_sonar(self.model.presets[is_high])
         greatest_m = preset.range_limit_m
@@ -146,22 +130,20 @@ def oculus_result(ping: Ping, fire: FireMessage, time_s: float, number: int) -> 
 
 @dataclass
 class PingCounts:
-    """What became of the pings of an emulator: sent, and missed by programs that read too slowly.
-
-    `refused` fire messages were wrong.
-    """
+    """What became of the pings of an emulator."""
 
     sent: int = 0
-    missed: int = 0
-    refused: int = 0
+    missed: int = 0  # by programs that read too slowly
+    refused: int = 0  # fire messages, which were wrong
 
 
 @dataclass
 class _Program:
-    """A program that is connected: its address, and of which kinds of its wrong fire messages the log says why."""
+    """A program that is connected."""
 
-    address: str
-    reported: set[str] = field(default_factory=set)
+    host: str
+    port: int
+    reported: set[str] = field(default_factory=set)  # kinds of wrong fire messages that the log explains
 
 
 class OculusServer:
@@ -170,11 +152,8 @@ class OculusServer:
     The last fire message of any program counts, as with the device. A ping that is late is left out: the ping rate
     falls, and nothing piles up.
 
-    Parameters
-    ----------
-    device : OculusHead, which `simulation` alone uses
-    simulation : Executor of one thread
-    host, port : of the results
+    device : which `simulation`, an Executor of one thread, alone uses
+    port : of the results; 0 takes a free one, which is known once `run` has started
     status_to : (host, port) that receives the status, or None for no status
     """
 
@@ -186,34 +165,22 @@ class OculusServer:
         port: int = DATA_PORT,
         status_to: tuple[str, int] | None = ("127.0.0.1", STATUS_PORT),
     ):
-        self.counts = PingCounts()
+        self.counts, self.port = PingCounts(), port
         self._device, self._simulation = device, simulation
-        self._host, self._port, self._status_to = host, port, status_to
+        self._host, self._status_to = host, status_to
         self._fire: FireMessage | None = None
         self._logged: FireMessage | None = None  # the last one that the log names
         self._firing: _Program | None = None  # whose fire message it is
         self._asked = asyncio.Event()
         self._programs: dict[asyncio.StreamWriter, _Program] = {}
-        self._connected: set[asyncio.StreamWriter] = set()  # also those whose tasks have not begun
         self._is_full = False  # and the log says so
         self._tasks: set[asyncio.Task] = set()
 
-    @property
-    def port(self) -> int:
-        """The port of the results: the one that was asked for, or the one that the system chose for 0."""
-        return self._port
-
     async def run(self, started: asyncio.Event | None = None) -> None:
-        """Serve until this is cancelled.
-
-        Raises
-        ------
-        OSError
-            if the port is taken, or the host is no address of IPv4.
-        """
+        """Serve until this is cancelled; raises OSError if the port is taken, or the host is no address of IPv4."""
         # messages have room for addresses of IPv4 alone
-        server = await asyncio.start_server(self._admit, self._host, self._port, family=socket.AF_INET)
-        self._port = server.sockets[0].getsockname()[1]
+        server = await asyncio.start_server(self._admit, self._host, self.port, family=socket.AF_INET)
+        self.port = server.sockets[0].getsockname()[1]
         if started is not None:
             started.set()
         tasks = [self._start(self._ping())]
@@ -239,32 +206,33 @@ class OculusServer:
 
         One beyond MAX_PROGRAMS is disconnected at once.
         """
-        if len(self._connected) >= MAX_PROGRAMS:
+        if len(self._programs) >= MAX_PROGRAMS:
             if not self._is_full:
                 logger.warning("%d programs are connected, and others are disconnected at once", MAX_PROGRAMS)
             self._is_full = True
             writer.transport.abort()
             return
-        self._connected.add(writer)
-        task = self._start(self._serve(reader, writer))
+        # without a name if it has gone already
+        name = writer.get_extra_info("peername") or ("0.0.0.0", 0)
+        program = self._programs[writer] = _Program(*name[:2])
+        task = self._start(self._serve(reader, program))
         task.add_done_callback(lambda _: self._leave(writer))  # also if it is cancelled before it begins
 
     def _leave(self, writer: asyncio.StreamWriter) -> None:
         """Close the connection of a program, whose place another one may take."""
         writer.close()
-        self._connected.discard(writer)
+        del self._programs[writer]
         self._is_full = False
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _serve(self, reader: asyncio.StreamReader, program: _Program) -> None:
         """Read the messages of a program until it goes, or sends what is none."""
-        name = writer.get_extra_info("peername")
-        program = self._programs[writer] = _Program(str(name[0]))
-        logger.info("%s:%s connects", *name[:2])
+        name = program.host, program.port
+        logger.info("%s:%s connects", *name)
         try:
             while True:
                 mark, _, _, kind, version, size, _ = HEADER.unpack(await reader.readexactly(HEADER.size))
                 if mark != OCULUS_ID or size > MAX_FIRE_BYTES:
-                    logger.warning("%s:%s sends no messages of an Oculus: it is disconnected", *name[:2])
+                    logger.warning("%s:%s sends no messages of an Oculus: it is disconnected", *name)
                     return
                 payload = await reader.readexactly(size)
                 if kind == FIRE:
@@ -272,9 +240,7 @@ class OculusServer:
         except (asyncio.IncompleteReadError, OSError):  # also that the network is lost
             pass
         finally:
-            self._programs.pop(writer, None)
-            writer.close()
-            logger.info("%s:%s is gone", *name[:2])
+            logger.info("%s:%s is gone", *name)
 
     def _take_fire_message(self, program: _Program, version: int, payload: bytes) -> None:
         """Ping with the settings of a program's fire message from now on; a wrong one changes nothing."""
@@ -347,7 +313,7 @@ class OculusServer:
         temperature_c = self._device.head.acoustics.water.temperature_c
         try:
             while True:
-                connected = next((program.address for program in self._programs.values()), "0.0.0.0")
+                connected = next((program.host for program in self._programs.values()), "0.0.0.0")
                 message = status_message(DEVICE_ID, part, own, connected, temperature_c)
                 try:
                     # in a thread: the look-up of a name may take seconds
@@ -361,12 +327,7 @@ class OculusServer:
 
 
 class _StatusProtocol(asyncio.DatagramProtocol):
-    """Says once why a status does not go out.
-
-    Parameters
-    ----------
-    to : (host, port) that should receive it
-    """
+    """Says once why a status does not go out `to` a (host, port)."""
 
     def __init__(self, to: tuple[str, int]):
         self._to, self._has_failed = to, False

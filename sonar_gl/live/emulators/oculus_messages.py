@@ -51,12 +51,7 @@ GREATEST_GAIN = 2**31 - 1
 
 
 class WrongFireError(Error):
-    """A fire message is wrong.
-
-    Attributes
-    ----------
-    field : what of it
-    """
+    """A fire message is wrong; `field` says what of it."""
 
     def __init__(self, field: str, why: str):
         super().__init__(why)
@@ -65,30 +60,17 @@ class WrongFireError(Error):
 
 @dataclass(frozen=True)
 class FireMessage:
-    """What a program asks an Oculus to do from now on.
+    """What a program asks an Oculus to do from now on."""
 
-    Attributes
-    ----------
-    version : 1 or 2, of the fire message; the result has the layout of the same
-    mode : LOW_FREQUENCY or HIGH_FREQUENCY
-    ping_rate : code of PING_RATES_HZ, or STANDBY
-    gamma : exponent of amplitude times 255; 0 counts as 255
-    flags : sum of flags
-    range : metres, or per cent of the greatest range without the flag RANGE_IN_METRES
-    gain_percent : 0..100
-    sound_speed_m_s : metres per second; 0 leaves it to the sonar
-    settings : bytes as they came, which the result repeats
-    """
-
-    version: int
-    mode: int
-    ping_rate: int
-    gamma: int
-    flags: int
-    range: float
-    gain_percent: float
-    sound_speed_m_s: float
-    settings: bytes
+    version: int  # 1 or 2, of the fire message; the result has the layout of the same
+    mode: int  # LOW_FREQUENCY or HIGH_FREQUENCY
+    ping_rate: int  # code of PING_RATES_HZ, or STANDBY
+    gamma: int  # exponent of amplitude times 255; 0 counts as 255
+    flags: int  # sum of flags
+    range: float  # metres, or per cent of the greatest range without the flag RANGE_IN_METRES
+    gain_percent: float  # 0..100
+    sound_speed_m_s: float  # metres per second; 0 leaves it to the sonar
+    settings: bytes  # as they came, which the result repeats
 
     @property
     def n_beams(self) -> int:
@@ -133,13 +115,7 @@ class FireMessage:
 
 
 def parse_fire_message(version: int, payload: bytes) -> FireMessage:
-    """Return a fire message from what follows its header.
-
-    Raises
-    ------
-    WrongFireError
-        if it is too short, or a number is out of bounds.
-    """
+    """Return a fire message from what follows its header; WrongFireError if that is too short, or a number is wrong."""
     size = FIRE_SETTINGS.size + (FIRE_RESERVE_BYTES if version == 2 else 0)
     if len(payload) < size:
         raise WrongFireError(
@@ -170,35 +146,24 @@ def parse_fire_message(version: int, payload: bytes) -> FireMessage:
 
 @dataclass(frozen=True, eq=False)
 class OculusResult:
-    """What a sonar reports of one ping. B beams, K bins.
+    """What a sonar reports of one ping. B beams, K bins."""
 
-    Attributes
-    ----------
-    fire : FireMessage that it answers
-    number : of the ping
-    counts : (B, K) uint8 or uint16, beams from starboard to port
-    azimuth_rad : (B,) of the beams, radians, rising, positive to port
-    gain : (K,) linear power gain of the receiver at each range; only their ratios are sent
-    bin_size_m : metres
-    frequency_hz, temperature_c, pressure_bar, sound_speed_m_s : of the sonar and the water
-    heading_deg, pitch_deg, roll_deg : degrees; of version 2
-    time_s : seconds since the sonar was switched on
-    """
-
-    fire: FireMessage
-    number: int
-    counts: np.ndarray
-    azimuth_rad: np.ndarray
-    gain: np.ndarray
-    bin_size_m: float
+    fire: FireMessage  # that it answers
+    number: int  # of the ping
+    counts: np.ndarray  # (B, K) uint8 or uint16, beams from starboard to port
+    azimuth_rad: np.ndarray  # (B,) of the beams, radians, rising, positive to port
+    gain: np.ndarray  # (K,) linear power gain of the receiver at each range; only their ratios are sent
+    bin_size_m: float  # metres
+    # of the sonar and the water
     frequency_hz: float
     temperature_c: float
     pressure_bar: float
     sound_speed_m_s: float
+    # degrees; of version 2
     heading_deg: float
     pitch_deg: float
     roll_deg: float
-    time_s: float
+    time_s: float  # seconds since the sonar was switched on
 
     def message(self, device_id: int) -> bytes:
         """Return the message that a sonar with this number sends."""
@@ -247,8 +212,6 @@ def status_message(
 ) -> bytes:
     """Return the status by which a sonar announces itself.
 
-    Parameters
-    ----------
     address, connected : IPv4 addresses of the sonar, and of the program that is connected to it, or "0.0.0.0"
     """
     places = [IPv4Address(text).packed for text in (address, "255.255.255.0", connected)]

@@ -52,9 +52,6 @@ GAIN_DB = 10.0, 20.0, 30.0  # of the settings low, normal and high; not publishe
 class Ping360Head:
     """Answers messages by pings of one beam.
 
-    Parameters
-    ----------
-    head : SimulatedHead
     counts : changes of the preset's law of counts, in what messages do not set
     """
 
@@ -94,24 +91,15 @@ class Ping360Head:
 class Ping360Server(asyncio.DatagramProtocol):
     """Answers programs that send datagrams of the Ping protocol, one after the other as the device does.
 
-    Parameters
-    ----------
-    device : Ping360Head, which `simulation` alone uses
-    simulation : Executor of one thread
-    host, port : where it listens
+    device : which `simulation`, an Executor of one thread, alone uses
+    port : where it listens; 0 takes a free one, which is known once `run` has started
     """
 
     def __init__(self, device: Ping360Head, simulation: Executor, host: str = "127.0.0.1", port: int = PORT):
-        self.pings, self.dropped = 0, 0
-        self._device, self._simulation = device, simulation
-        self._host, self._port = host, port
+        self.pings, self.dropped, self.port = 0, 0, port
+        self._device, self._simulation, self._host = device, simulation, host
         self._transport, self._waiting, self._began_s = None, None, 0.0
         self._last = FIRST_SETTINGS
-
-    @property
-    def port(self) -> int:
-        """The port: the one that was asked for, or the one that the system chose for 0."""
-        return self._port
 
     def connection_made(self, transport) -> None:
         """Remember where answers go out."""
@@ -131,9 +119,9 @@ class Ping360Server(asyncio.DatagramProtocol):
         self._waiting, self._began_s = asyncio.Queue(MAX_WAITING), loop.time()
         # of the addresses of a name, the one by which programs find a device, which knows IPv4 alone
         transport, _ = await loop.create_datagram_endpoint(
-            lambda: self, local_addr=(self._host, self._port), family=socket.AF_INET
+            lambda: self, local_addr=(self._host, self.port), family=socket.AF_INET
         )
-        self._port = transport.get_extra_info("sockname")[1]
+        self.port = transport.get_extra_info("sockname")[1]
         if started is not None:
             started.set()
         scanning = None

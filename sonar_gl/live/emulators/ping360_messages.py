@@ -60,25 +60,16 @@ def parse_messages(datagram: bytes) -> list[PingMessage]:
 
 @dataclass(frozen=True)
 class TransducerSettings:
-    """What a program asks a Ping360 to do.
+    """What a program asks a Ping360 to do."""
 
-    Attributes
-    ----------
-    mode, gain_setting : as they came; gain 0 is low, 1 normal, 2 high
-    angle : of the head, gradians
-    transmit_duration_us : length of the pulse, microseconds
-    sample_period : between samples, in units of 25 ns
-    transmit_frequency_khz : kilohertz
-    n_samples : of the echo
-    """
-
+    # as they came; gain 0 is low, 1 normal, 2 high
     mode: int
     gain_setting: int
-    angle: int
-    transmit_duration_us: int
-    sample_period: int
-    transmit_frequency_khz: int
-    n_samples: int
+    angle: int  # of the head, gradians
+    transmit_duration_us: int  # length of the pulse, microseconds
+    sample_period: int  # between samples, in units of 25 ns
+    transmit_frequency_khz: int  # kilohertz
+    n_samples: int  # of the echo
 
     def __post_init__(self):
         for name, low, high in (
@@ -105,21 +96,14 @@ class TransducerSettings:
 
 @dataclass(frozen=True)
 class Scan:
-    """A sector that the head scans to and fro by itself, or all round.
+    """A sector that the head scans to and fro by itself, or all round."""
 
-    Attributes
-    ----------
-    settings : TransducerSettings of its pings; `angle` does not count
-    start, stop : gradians
-    step : gradians between pings
-    delay_s : seconds after each ping
-    """
-
-    settings: TransducerSettings
+    settings: TransducerSettings  # of its pings; `angle` does not count
+    # gradians
     start: int
     stop: int
-    step: int
-    delay_s: float
+    step: int  # gradians between pings
+    delay_s: float  # seconds after each ping
 
     def __post_init__(self):
         for name, low, high in (("start", 0, GRADIANS - 1), ("stop", 0, GRADIANS - 1), ("step", 1, 10)):

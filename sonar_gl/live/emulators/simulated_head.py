@@ -20,18 +20,8 @@ from sonar_gl.sonar.sonar import Sonar
 class SimulatedHead:
     """Makes pings of one scene with sonars and acoustics that change. To be used by one thread, then closed.
 
-    Parameters
-    ----------
-    scene : Scene
-    sonar : Sonar that the scene is prepared for
-    acoustics : Acoustics
-    noise : Noise
-    track : PoseTrack of the sonar
-    tolerance, seed : as for `Simulator` and `Simulator.ping`
-
-    Attributes
-    ----------
-    renderer : name of what draws
+    sonar : that the scene is prepared for
+    track : of the sonar
     """
 
     def __init__(
@@ -54,8 +44,6 @@ class SimulatedHead:
     ) -> Ping:
         """Return a ping at a time in seconds.
 
-        Parameters
-        ----------
         number : of the ping, for its noise
         turn : (4, 4) pose of the transducer in the sonar; None where they are the same
         """
