@@ -15,6 +15,7 @@ from sonar_gl.core.poses import pose_numbers
 from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.noise.settings import PRESETS, Noise
+from sonar_gl.sonar.counts import Counts
 from sonar_gl.sonar.sonar import UNPARSED, Sonar
 from sonar_gl.sonar.sonar_files import presets
 
@@ -23,24 +24,18 @@ POSE_DECIMALS = 6  # of metres and radians: what files and command lines hold of
 
 @dataclass(frozen=True)
 class SceneSource:
-    """How a command line names a scene and the sonar that a session begins with.
+    """How a command line names a scene and the sonar that a session begins with."""
 
-    Attributes
-    ----------
-    name : of a bundled scene, or a path
-    resource_paths, skip_missing, without, only, surface_z_m : as the options of `sonar-gl render`
-    sonar : text of `load_sonar`, of `loaded`; None if the sonar is the scene's own, or made in Python
-    loaded : the Sonar that the text names
-    """
-
-    name: str
+    name: str  # of a bundled scene, or a path
+    # as the options of `sonar-gl render`
     resource_paths: tuple[str, ...] = ()
     skip_missing: bool = False
     without: tuple[str, ...] = ()
     only: tuple[str, ...] = ()
     surface_z_m: float | None = None
+    # text of `load_sonar`, of `loaded`; None if the sonar is the scene's own, or made in Python
     sonar: str | None = None
-    loaded: Sonar | None = None
+    loaded: Sonar | None = None  # the Sonar that the text names
 
     def words(self) -> list[str]:
         """Return the scene's part of a command line."""
@@ -83,8 +78,11 @@ def _value_text(value) -> str:
     return "none" if value is None else str(value)
 
 
-def sonar_text(sonar: Sonar, source: SceneSource) -> str:
-    """Return the text by which `load_sonar` makes a sonar again, but for its law of counts; raise Error without one."""
+def sonar_text(sonar: Sonar, source: SceneSource) -> tuple[str, Counts]:
+    """Return the text by which `load_sonar` makes a sonar again, and the law of counts, which is not changed, of that.
+
+    Raises Error where no text does.
+    """
     known = [(name, one) for name, one in presets().items() if one.name == sonar.name]
     if source.loaded is not None:
         known.append((source.sonar, source.loaded))
@@ -94,13 +92,14 @@ def sonar_text(sonar: Sonar, source: SceneSource) -> str:
         if not set(UNPARSED) & set(found):
             # the user's text may change a field that is changed once more
             items = [item for item in name.split(",") if item.partition("=")[0].strip() not in found]
-            texts.append((len(found), ",".join([*items, changes_text(found)]) if found else name))
+            text = ",".join([*items, changes_text(found)]) if found else name
+            texts.append((len(found), text, one.counts))
     if not texts:
         raise Error(
             f"a sonar on a command line must be a preset, or of a .toml file (got {sonar.name!r}, made otherwise; "
             "write it to a file by sonar_gl.save_sonar or 'sonar-gl sonars --scene', and give that by --sonar)"
         )
-    return min(texts)[1]
+    return min(texts, key=lambda one: one[:2])[1:]
 
 
 def acoustics_changes(acoustics: Acoustics) -> dict:
@@ -120,23 +119,17 @@ def render_line(
 ) -> str:
     """Return the line of a shell by which `sonar-gl render` makes the picture of these settings.
 
-    Parameters
-    ----------
+    Raises Error if no text names the sonar.
+
     world_from_sonar : (4, 4), which is rounded
     own : the scene's own Sonar
-
-    Raises
-    ------
-    Error
-        if no text names the sonar.
     """
     words = ["sonar-gl", "render", *source.words()]
     sonar, acoustics = settings.sonar, settings.acoustics
     base_counts = sonar.counts
     if sonar != own or source.sonar is not None:
-        text = sonar_text(sonar, source)
+        text, base_counts = sonar_text(sonar, source)
         words += ["--sonar", text]
-        base_counts = _counts_of(text, source)
     if settings.range_m is not None:
         words += ["--range", repr(float(settings.range_m))]
     if settings.n_bins is not None:
@@ -162,10 +155,3 @@ def render_line(
     for option, text in values.items():
         words += [option, text] if text else []
     return shlex.join(words)
-
-
-def _counts_of(text: str, source: SceneSource):
-    """Return the law of counts of the sonar that a text of `sonar_text` names."""
-    if source.loaded is not None and text.partition(",")[0] == source.sonar.partition(",")[0]:
-        return source.loaded.counts
-    return presets()[text.partition(",")[0]].counts

@@ -45,11 +45,6 @@ class LiveFrame:
     highlight: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
-    @property
-    def error_estimate(self) -> float | None:
-        """Estimated share of the echo that lies in wrong bins."""
-        return self.ping.error_estimate
-
 
 @dataclass(frozen=True)
 class LiveState:

@@ -32,15 +32,10 @@ STEP_S = 1.0  # between poses
 def add_pose(path: Path, world_from_sonar: np.ndarray) -> None:
     """Add a pose to a job file: to a file of poses beside it, which a table [[poses]] at its end names.
 
-    Parameters
-    ----------
+    Raises Error if one of the files cannot be read or written, or the job's poses are not tables.
+
     path : of the job file, which exists
     world_from_sonar : (4, 4), which is rounded; in the job it is the pose of the vehicle
-
-    Raises
-    ------
-    Error
-        if one of the files cannot be read or written, or the job's poses are not tables.
     """
     job = read_toml(path, "the job file")
     tables = job.get("poses", [])
@@ -80,10 +75,7 @@ def _pose_file(path: Path, named: list) -> Path:
 def new_job_text(name: str, settings: LiveSettings, source: SceneSource) -> str:
     """Return a job file without poses, in which the first `add_pose` makes the table that a job needs.
 
-    Raises
-    ------
-    Error
-        if no text names the sonar.
+    Raises Error if no text names the sonar.
     """
     scene = source.name if source.name in bundled_scenes() else str(Path(source.name).absolute())
     top = {"name": name, "scenes": [scene], "seed": settings.seed, "tolerance": float(settings.tolerance)}
@@ -94,7 +86,7 @@ def new_job_text(name: str, settings: LiveSettings, source: SceneSource) -> str:
     top |= {} if source.surface_z_m is None else {"surface_z_m": float(source.surface_z_m)}
     acoustics = settings.acoustics
     preset, amounts = noise_changes(settings.noise)
-    sonar = {"sonar": _from_anywhere(sonar_text(settings.sonar, source))}
+    sonar = {"sonar": _from_anywhere(sonar_text(settings.sonar, source)[0])}
     sonar |= {} if settings.range_m is None else {"range_m": float(settings.range_m)}
     sonar |= {} if settings.n_bins is None else {"bins": settings.n_bins}
     tables = {

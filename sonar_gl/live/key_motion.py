@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+import cv2
 import numpy as np
 
 from sonar_gl.core.checks import check_number
@@ -41,14 +42,10 @@ def moved(
 
     Parameters
     ----------
-    world_from_sonar : (4, 4)
+    world_from_sonar : (4, 4), and so what is returned
     keys : names of KEYS, in upper or lower case; others do nothing, and opposite keys cancel
     dt_s : seconds, 0 or more
     speed_m_s, turn_rate_rad_s : metres and radians per second
-
-    Returns
-    -------
-    (4, 4) float64 world_from_sonar
 
     >>> moved(np.eye(4), {"w"}, 2.0, speed_m_s=1.5)[:3, 3].tolist()
     [3.0, 0.0, 0.0]
@@ -79,6 +76,5 @@ def _about_level_axis(world_from_sonar: np.ndarray, turn_rad: float) -> np.ndarr
     axis = np.cross([0.0, 0.0, 1.0], boresight)
     if np.linalg.norm(axis) < 1e-9:  # straight up or down
         axis = world_from_sonar[:3, 1]
-    x, y, z = world_from_sonar[:3, :3].T @ (axis / np.linalg.norm(axis))
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(turn_rad) * cross + (1 - np.cos(turn_rad)) * cross @ cross
+    axis = world_from_sonar[:3, :3].T @ (axis / np.linalg.norm(axis))
+    return cv2.Rodrigues(turn_rad * axis)[0]

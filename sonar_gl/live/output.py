@@ -30,28 +30,18 @@ class LiveOutput:
 
     All methods may be called from any thread.
 
-    Parameters
-    ----------
-    session : LiveSession
-    folder : of the files; it is made when the first is written
-    source : SceneSource; None for a scene that no command line names
-    job : path of a job file to which poses are added; None for `poses.toml` of the folder
+    Raises Error if there is no such job file, or nothing can be written into the folder.
 
-    Raises
-    ------
-    Error
-        if there is no such job file, or nothing can be written into the folder.
+    folder : of the files; it is made when the first is written
+    source : None for a scene that no command line names
+    job : path of a job file to which poses are added; None for `poses.toml` of the folder
     """
 
     def __init__(
-        self,
-        session,
-        folder: str | Path,
-        source: SceneSource | None,
-        job: str | Path | None = None,
+        self, session, folder: str | Path, source: SceneSource | None, job: str | Path | None = None
     ):
-        self._session, self._folder, self._source = session, Path(folder), source
-        check_output_folder(self._folder)
+        self._session, self.folder, self._source = session, Path(folder), source
+        check_output_folder(self.folder)
         self._job = None if job is None else Path(job)
         if self._job is not None:
             read_toml(self._job, "the job file")  # so that a wrong path is known at the start
@@ -60,11 +50,6 @@ class LiveOutput:
         self._recording: Recording | None = None
         self._listener: Listener | None = None
         self._n_missed = 0
-
-    @property
-    def folder(self) -> Path:
-        """The folder of all files."""
-        return self._folder
 
     @property
     def is_recording(self) -> bool:
@@ -127,29 +112,21 @@ class LiveOutput:
         """Save the picture of a ping from where the sonar is in a frame, as PNG and NPZ; return the path of the PNG.
 
         It is what `command_line` makes: the first ping of its noise, with samples planned for this pose, and the pose
-        rounded to micrometres. The form is that of the frame's settings.
-
-        Parameters
-        ----------
-        frame : None for the last one
+        rounded to micrometres. The form is that of the frame's settings. None is the last frame.
         """
         still = self._session.still(frame or self._session.frame)
         with self._lock:
-            output_folder(self._folder)
+            output_folder(self.folder)
             path = self._new_path(".png", ".npz")
             save_npz(path.with_suffix(".npz"), still.ping)
             save_png(path, still.picture)
         return path
 
     def command_line(self, frame: LiveFrame | None = None) -> str:
-        """Return the line of a shell that makes the picture of `save_picture`.
+        """Return the line of a shell that makes the picture of `save_picture` of a frame; None is the last one.
 
         Lines of comments follow where it cannot do the same, as where bodies were moved. Raises Error for a scene or a
         sonar that no command line can name.
-
-        Parameters
-        ----------
-        frame : None for the last one
         """
         frame = frame or self._session.frame
         line = render_line(frame.settings, frame.pose, self._named_source(), self._session.scene.sonar)
@@ -162,19 +139,16 @@ class LiveOutput:
         return line
 
     def add_pose_to_job(self, frame: LiveFrame | None = None) -> Path:
-        """Add the sonar's pose to the job file, and return its path; `job_file.add_pose` says how.
+        """Add the sonar's pose in a frame, None for the last, to the job file; return its path.
 
-        The job file of the folder is made if it is not there, with the settings of the frame.
-
-        Parameters
-        ----------
-        frame : None for the last one
+        `job_file.add_pose` says how. The job file of the folder is made if it is not there, with the settings of the
+        frame.
         """
         frame = frame or self._session.frame
         with self._lock:
             path = self._job
             if path is None:
-                path = output_folder(self._folder) / "poses.toml"
+                path = output_folder(self.folder) / "poses.toml"
                 if not path.exists():
                     text = new_job_text(self._name, frame.settings, self._named_source())
                     with atomic_write(path) as beside:
@@ -204,16 +178,13 @@ class LiveOutput:
         return self._source
 
     def _new_path(self, *suffixes: str) -> Path:
-        """Return a path in the folder, the scene's name and a number, that is not taken with any of some suffixes.
-
-        It has the first of them.
-        """
+        """Return a path in the folder, of the scene's name, a number and the first suffix, free with all suffixes."""
         for number in range(1, MAX_NUMBER + 1):
-            paths = [self._folder / f"{self._name}_{number:04d}{suffix}" for suffix in suffixes]
+            paths = [self.folder / f"{self._name}_{number:04d}{suffix}" for suffix in suffixes]
             if not any(path.exists() for path in paths):
                 return paths[0]
         raise Error(
-            f"{str(self._folder)!r} is full of numbers (got {MAX_NUMBER} files {self._name}_*{suffixes[0]})"
+            f"{str(self.folder)!r} is full of numbers (got {MAX_NUMBER} files {self._name}_*{suffixes[0]})"
         )
 
 

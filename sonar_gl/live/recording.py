@@ -25,11 +25,7 @@ WAITING_PICTURES = 64  # for the film; then the recording waits, and its listene
 class Recording:
     """Writes the frames that it is called with: `ping_000000.npz` ..., `film.mp4` and `poses.csv`.
 
-    To be called by one thread at a time, then closed.
-
-    Parameters
-    ----------
-    folder : which exists
+    To be called by one thread at a time, then closed; the folder exists.
     """
 
     def __init__(self, folder: Path):

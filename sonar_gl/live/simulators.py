@@ -18,12 +18,7 @@ MAX_SIMULATORS = 4  # settings between which a user changes to and fro
 
 
 class SimulatorPool:
-    """Simulators of one scene in one world. To be used by one thread, then closed.
-
-    Parameters
-    ----------
-    scene : Scene
-    """
+    """Simulators of one scene in one world. To be used by one thread, then closed."""
 
     def __init__(self, scene: Scene):
         self._scene, self._engine, self._placed = scene, None, {}

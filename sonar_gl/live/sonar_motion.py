@@ -34,16 +34,9 @@ class SonarMotion:
 
     The time of the track stands still until `start`, or until `play`.
 
-    Parameters
-    ----------
     pose : (4, 4) world_from_sonar at the start, where there is no track
-    track : PoseTrack that the sonar follows at first; None for none
+    track : that the sonar follows at first; None for none
     began_s : `time.monotonic` at which the time of a sonar that follows no track is 0
-
-    Raises
-    ------
-    Error
-        if the pose is not rigid.
     """
 
     def __init__(self, pose: np.ndarray, track: PoseTrack | None, began_s: float):

@@ -30,14 +30,10 @@ def surface_in_bin(
     beam: int,
     bin: int,
 ) -> Surface:
-    """Return the visible surface whose echo falls into a bin.
+    """Return the visible surface whose echo falls into a bin of a ping.
 
-    Parameters
-    ----------
     simulator : whose world is looked at
-    sonar, acoustics : of the ping
     world_from_sonar : (4, 4) pose of the housing
-    beam, bin : indices
     """
     true = acoustics.true_range_sonar(sonar)
     azimuth_rad = true.azimuth_rad

@@ -57,7 +57,7 @@ def test_first_frame_is_the_simulators_ping_as_the_device_shows_it(scene, sessio
     assert frame.ping.intensity.tobytes() == ping.intensity.tobytes()
     assert frame.picture.tolist() == FanStyle(100, "copper", False)(ping).tolist()
     assert frame.pose.tolist() == np.eye(4).tolist()
-    assert (frame.error_estimate, frame.number, frame.notes) == (ping.error_estimate, 0, ())
+    assert (frame.ping.error_estimate, frame.number, frame.notes) == (ping.error_estimate, 0, ())
 
 
 def test_every_ping_has_noise_of_its_own_that_depends_on_its_number(scene):

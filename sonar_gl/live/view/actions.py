@@ -18,8 +18,6 @@ REPEAT_S = 3.0  # within which the same is not said again
 class Actions:
     """A queue of actions. viser calls back in many threads; what it calls only asks here.
 
-    Parameters
-    ----------
     on_done : called after each batch of actions, whether they failed or not
     """
 

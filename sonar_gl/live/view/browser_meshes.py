@@ -17,24 +17,15 @@ COARSER = 1.25  # from one try of a cell's size to the next
 
 @dataclass(frozen=True, eq=False)
 class BrowserMesh:
-    """A body's mesh for a browser.
+    """A body's mesh for a browser."""
 
-    Attributes
-    ----------
-    name : of the body
-    vertices : (V, 3) float32, metres, relative to `middle`: browsers have no float64, and vertices may be in UTM
-    middle : (3,) float64, of the mesh's box in the body's frame
-    faces : (F, 3) uint32
-    pose : (4, 4) world_from_body, as the scene has it
-    reflectivity : mean of the body's, 0..1
-    """
-
-    name: str
+    name: str  # of the body
+    # (V, 3) float32, metres, relative to `middle`: browsers have no float64, and vertices may be in UTM
     vertices: np.ndarray
-    middle: np.ndarray
-    faces: np.ndarray
-    pose: np.ndarray
-    reflectivity: float
+    middle: np.ndarray  # (3,) float64, of the mesh's box in the body's frame
+    faces: np.ndarray  # (F, 3) uint32
+    pose: np.ndarray  # (4, 4) world_from_body, as the scene has it
+    reflectivity: float  # mean of the body's, 0..1
 
 
 def browser_meshes(scene: Scene, max_triangles: int = MAX_TRIANGLES) -> list[BrowserMesh]:
@@ -82,15 +73,7 @@ def _browser_mesh(body: Body, most: int) -> BrowserMesh:
 def decimated(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a mesh with at most `most` triangles: the vertices in each cell of a grid become one, their mean.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float32, metres
-    faces : (F, 3) int64
-
-    Returns
-    -------
-    vertices : (V', 3) float32
-    faces : (F', 3) int64
+    vertices, faces : (V, 3) float32, metres, and (F, 3) int64, as in what is returned
     """
     corners = vertices[faces].astype(np.float64)
     area = np.linalg.norm(

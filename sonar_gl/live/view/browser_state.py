@@ -15,21 +15,14 @@ _PIXEL = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEA
 
 @dataclass(frozen=True)
 class BrowserState:
-    """The state of one browser.
+    """The state of one browser."""
 
-    Attributes
-    ----------
-    pointer : (right, down) over the picture, 0..1 of its width and height; None where it is elsewhere
-    clicks : number of clicks at the picture
-    clicked : (right, down) of the last one
-    keys : names of `live.key_motion.KEYS` that are held
-    frame_s : seconds that the browser lately took for a frame of the scene, 0..MAX_FRAME_S; 0 if it has not said so
-    """
-
+    # (right, down) over the picture, 0..1 of its width and height; None where it is elsewhere
     pointer: tuple[float, float] | None = None
-    clicks: int = 0
-    clicked: tuple[float, float] | None = None
-    keys: frozenset[str] = frozenset()
+    clicks: int = 0  # number of clicks at the picture
+    clicked: tuple[float, float] | None = None  # (right, down) of the last one
+    keys: frozenset[str] = frozenset()  # names of `live.key_motion.KEYS` that are held
+    # seconds that the browser lately took for a frame of the scene, 0..MAX_FRAME_S; 0 if it has not said so
     frame_s: float = 0.0
 
     @classmethod

@@ -182,16 +182,12 @@ class PictureSector:
 
 
 class PicturePixels(NamedTuple):
-    """Where the pixels of a part lie in the whole picture, (h, w) each.
+    """Where the pixels of a part lie in the whole picture, (h, w) each."""
 
-    Attributes
-    ----------
-    column, row : float32, as `FanGeometry.pixel` counts them
-    cover : float32, share of a pixel that lies in the part, so that neighbouring parts meet without a line
-    """
-
+    # float32, as `FanGeometry.pixel` counts them
     column: np.ndarray
     row: np.ndarray
+    # float32, share of a pixel that lies in the part, so that neighbouring parts meet without a line
     cover: np.ndarray
 
     def of(self, picture: np.ndarray) -> np.ndarray:

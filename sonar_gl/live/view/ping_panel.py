@@ -44,21 +44,12 @@ PENDING = "computing with the new settings ..."
 class PingPanel:
     """The panel on the left.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-    session : LiveSession
-    actions : Actions
     on_body : action of the name of a body that is selected; "" for none
-
-    Attributes
-    ----------
-    shows_marks : whether lines of range and azimuth lie over the next picture
     """
 
     def __init__(self, server, session: LiveSession, actions: Actions, on_body: Callable[[str], None]):
         self._session, self._actions = session, actions
-        self.shows_marks = True
+        self.shows_marks = True  # lines of range and azimuth over the next picture
         self._marked: MarkedPicture | None = None  # what the lines on show are of
         panel = server.gui.add_panel()
         with panel.add_tab(PANEL):
@@ -185,7 +176,7 @@ def _numbers_html(frame: LiveFrame, state: LiveState) -> str:
     x, y, z, roll, pitch, yaw = pose_numbers(frame.pose)
     angles = " ".join(f"{rounded(math.degrees(angle), 1)}°" for angle in (roll, pitch, yaw))
     place = " ".join(rounded(one, 2) for one in (x, y, z))
-    estimate = NOTHING if frame.error_estimate is None else f"{100 * frame.error_estimate:.2g} %"
+    estimate = NOTHING if frame.ping.error_estimate is None else f"{100 * frame.ping.error_estimate:.2g} %"
     is_pending = state.settings is not frame.settings
     rows = [
         [("ping rate", PENDING)]

@@ -23,18 +23,11 @@ TEXT_STYLE = "fill:#fff;stroke:#000;stroke-opacity:.7;paint-order:stroke;font-fa
 
 @dataclass(frozen=True)
 class MarkedPicture:
-    """What the lines over a picture depend on.
+    """What the lines over a picture depend on."""
 
-    Attributes
-    ----------
-    geometry : FanGeometry of the ping
-    azimuths : `azimuth_key` of the ping
-    form : one of `live.settings.FORMS`
-    """
-
-    geometry: FanGeometry
-    azimuths: bytes
-    form: str
+    geometry: FanGeometry  # of the ping
+    azimuths: bytes  # `azimuth_key` of the ping
+    form: str  # one of `live.settings.FORMS`
 
     @classmethod
     def of(cls, frame: LiveFrame) -> MarkedPicture:

@@ -18,20 +18,14 @@ STEPS = 200  # of the slider, about
 
 @dataclass(frozen=True)
 class NumberScale:
-    """A slider, and the field beside it, into which any number may be typed.
+    """A slider, and the field beside it, into which any number may be typed."""
 
-    Attributes
-    ----------
-    label : "name, unit", or a name that says its unit
-    low, high, step : ends and step, in the unit of the label
-    decimals : of the numbers on show
-    """
-
-    label: str
+    label: str  # "name, unit", or a name that says its unit
+    # ends and step, in the unit of the label
     low: float
     high: float
     step: float
-    decimals: int
+    decimals: int  # of the numbers on show
 
     def holding(self, value: float) -> NumberScale:
         """Return a scale that shows a number in force as it is: a command line or a script may set any.

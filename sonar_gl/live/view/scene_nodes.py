@@ -73,21 +73,10 @@ class PicturePart(NamedTuple):
 class SceneNodes:
     """The nodes of viser's scene that show a session, relative to an origin near the first pose of its sonar.
 
-    Parameters
-    ----------
-    server : viser.ViserServer
-    session : LiveSession
-    actions : Actions of the page
     on_body : action of a body's name that was clicked
     """
 
-    def __init__(
-        self,
-        server,
-        session: LiveSession,
-        actions: Actions,
-        on_body: Callable[[str], None],
-    ):
+    def __init__(self, server, session: LiveSession, actions: Actions, on_body: Callable[[str], None]):
         self._server, self._session, self._actions = server, session, actions
         self._pose, self._fan_extent, self._selected = None, None, ""
         self._origin_m = SITE_STEP_M * np.round(session.pose[:3, 3] / SITE_STEP_M)
