@@ -1,10 +1,9 @@
 """ROS 2 without ROS: messages, bags, and live topics.
 
 `messages` makes, encodes and decodes messages, for bags and topics alike. `bag` writes recordings. A `publisher` makes
-the pings of a sonar at its rate (`ping_schedule`) and sends them, with the static frames of all publishers
-(`static_frames`). `message_inputs` follows poses and times that other programs send. A `transport` carries the
-messages: `dds_transport`, whose nodes ROS lists by `discovery`; `zenoh_transport`, by the conventions of `rmw_zenoh`;
-`foxglove_transport` for viewers. What arrives waits in an `inbox`.
+the pings of a sonar at its rate (`ping_schedule`) and sends them. `message_inputs` follows poses and times that other
+programs send. A `transport` carries the messages: `dds_transport`, whose nodes ROS lists by `discovery`;
+`zenoh_transport`, by the conventions of `rmw_zenoh`; `foxglove_transport` for viewers. An `inbox` has what arrives.
 """
 
 import lazy_loader

@@ -1,7 +1,7 @@
 """Poses, bodies and times that come as messages of ROS 2, from programs that may send anything.
 
 Each input has a method `receive`, which a transport calls with bytes in a thread of its own. It takes what is right,
-and counts what is not; it never raises, and what it keeps has a bound.
+and counts what is not; it never raises.
 """
 
 from __future__ import annotations
@@ -23,21 +23,13 @@ from sonar_gl.scene.scene import Scene
 
 logger = logging.getLogger(__name__)
 
-MAX_MESSAGE_BYTES = 1 << 20  # thousands of transforms
-MAX_FRAMES = 10_000  # that are kept
 MAX_PARENTS = 100  # between a frame and the world
 MAX_DISTANCE_M = 1e8  # as far as scenes reach
 NORM_TOLERANCE = 0.01  # of a quaternion's square, as in tf2
 
 
 class RefusedError(Exception):
-    """What is wrong with a message or a part of it.
-
-    Parameters
-    ----------
-    kind : short, one of few: under it messages are counted
-    why : sentence for the log
-    """
+    """What is wrong with a message or a part of it, and of which few kinds that is, by which messages are counted."""
 
     def __init__(self, kind: str, why: str):
         super().__init__(why)
@@ -81,13 +73,6 @@ class RefusedMessages:
             return dict(self._counts)
 
 
-def _decoded(data: bytes, msgtype: str):
-    """Return the message in bytes; an Error or RefusedError if they hold none."""
-    if len(data) > MAX_MESSAGE_BYTES:
-        raise RefusedError("too long", f"must have at most {MAX_MESSAGE_BYTES} bytes (got {len(data)})")
-    return message_types().decode(bytes(data), msgtype)
-
-
 def _matrix(position, orientation) -> np.ndarray:
     """Return the (4, 4) pose of a position and a quaternion."""
     place = position.x, position.y, position.z
@@ -122,11 +107,7 @@ class PoseInput:
 
     The order in which messages come counts, not their stamps, so that a bag or a simulation may begin again.
 
-    Parameters
-    ----------
-    topic, msgtype : of the messages
     world : frame that poses must be in
-    refused : counts what is wrong
     """
 
     def __init__(self, topic: str, msgtype: str, world: str, refused: RefusedMessages):
@@ -136,7 +117,7 @@ class PoseInput:
     def receive(self, data: bytes) -> None:
         """Take a message."""
         with self._refused.counting(self._topic):
-            message = _decoded(data, self._msgtype)
+            message = message_types().decode(bytes(data), self._msgtype)
             _check_world(message.header.frame_id, self._world)
             at = message.pose
             at = at.pose if hasattr(at, "pose") else at  # Odometry's has a covariance
@@ -150,11 +131,7 @@ class PoseInput:
 class FrameInput:
     """The pose of a frame by tf2_msgs/TFMessage of /tf and /tf_static: the last transform of each frame counts.
 
-    Parameters
-    ----------
-    frame : whose pose is asked for
-    world : frame that the pose is in
-    refused : counts what is wrong
+    frame, world : the one whose pose is asked for, and the one that it is in
     """
 
     def __init__(self, frame: str, world: str, refused: RefusedMessages):
@@ -171,10 +148,6 @@ class FrameInput:
                     raise RefusedError("no frame", "transforms must name both frames (got an empty name)")
                 matrix = _matrix(link.transform.translation, link.transform.rotation)
                 with self._lock:
-                    if child not in self._links and len(self._links) >= MAX_FRAMES:
-                        raise RefusedError(
-                            "too many frames", f"at most {MAX_FRAMES} frames are followed (got more)"
-                        )
                     self._links[child] = parent, matrix
 
     def latest(self) -> np.ndarray | None:
@@ -197,12 +170,8 @@ class BodiesInput:
     Bodies such as `pylon::column`, which readers of scenes make of shapes of `pylon` that are smoother, move with it;
     and so does with a model all that is in it.
 
-    Parameters
-    ----------
     topic : of the messages
-    scene : Scene
     world : frame that poses must be in
-    refused : counts what is wrong
     """
 
     def __init__(self, topic: str, scene: Scene, world: str, refused: RefusedMessages):
@@ -248,18 +217,12 @@ class BodiesInput:
 def _transforms(data: bytes, topic: str, refused: RefusedMessages) -> Iterator[tuple[str, object]]:
     """Yield the child frame and the transform of each that a message holds."""
     with refused.counting(topic):
-        message = _decoded(data, "tf2_msgs/msg/TFMessage")
+        message = message_types().decode(bytes(data), "tf2_msgs/msg/TFMessage")
         yield from ((link.child_frame_id.lstrip("/"), link) for link in message.transforms)
 
 
 class ClockInput:
-    """The last time that came by rosgraph_msgs/Clock.
-
-    Parameters
-    ----------
-    topic : of the messages
-    refused : counts what is wrong
-    """
+    """The last time that came by rosgraph_msgs/Clock."""
 
     def __init__(self, topic: str, refused: RefusedMessages):
         self._topic, self._refused = topic, refused
@@ -268,7 +231,7 @@ class ClockInput:
     def receive(self, data: bytes) -> None:
         """Take a message."""
         with self._refused.counting(self._topic):
-            clock = _decoded(data, "rosgraph_msgs/msg/Clock").clock
+            clock = message_types().decode(bytes(data), "rosgraph_msgs/msg/Clock").clock
             if not (0 <= clock.sec < MAX_TIME_S and 0 <= clock.nanosec < 10**9):
                 raise RefusedError(
                     "no time",
@@ -285,19 +248,3 @@ class ClockInput:
             self._news.wait_for(lambda: self._time_ns is not None, timeout_s)
             time_ns, self._time_ns = self._time_ns, None
         return time_ns
-
-
-class PresenceInput:
-    """Whether anybody else publishes a topic.
-
-    Attributes
-    ----------
-    has_come : whether a message has come, whatever it holds
-    """
-
-    def __init__(self):
-        self.has_come = False
-
-    def receive(self, data: bytes) -> None:
-        """Take note of a message."""
-        self.has_come = True

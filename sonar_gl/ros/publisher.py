@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from threading import Event
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,19 +28,11 @@ from sonar_gl.engine.no_echo import NoEchoWarning
 from sonar_gl.imaging.fan_image import colorize, fan_image
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
-from sonar_gl.ros.message_inputs import (
-    BodiesInput,
-    ClockInput,
-    FrameInput,
-    PoseInput,
-    PresenceInput,
-    RefusedMessages,
-)
+from sonar_gl.ros.message_inputs import BodiesInput, ClockInput, FrameInput, PoseInput, RefusedMessages
 from sonar_gl.ros.messages import BEAMS, MAX_TIME_S, TF, TF_STATIC, message_types, nanoseconds
 from sonar_gl.ros.ping_schedule import PingSchedule
 from sonar_gl.ros.publisher_settings import POSE_SOURCES, TOPICS, PublisherSettings
-from sonar_gl.ros.static_frames import publish_static
-from sonar_gl.ros.transport import Topic, Transport
+from sonar_gl.ros.transport import Topic, Transport, publish_static
 from sonar_gl.scene.scene import Scene, poses_of_parts
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sonar import Sonar
@@ -96,24 +89,6 @@ class PublisherCounts:
         text = f"{self.pings} pings published, {self.dropped} dropped as they came too late"
         more = {"failed": self.failed, "jumps of time": self.jumps, "messages ignored": self.refused}
         return ", ".join([text, *(f"{number} {what}" for what, number in more.items() if number)])
-
-
-@dataclass(frozen=True)
-class _DuePing:
-    """A ping to make.
-
-    Attributes
-    ----------
-    time_ns : its stamp
-    vehicle_pose : (4, 4) world_from_vehicle, or that of the sonar if the settings name no vehicle
-    bodies : poses of those that have moved since the ping before
-    is_own : whether all that is placed there is placed by the caller, who is told what is wrong with the ping
-    """
-
-    time_ns: int
-    vehicle_pose: np.ndarray
-    bodies: dict
-    is_own: bool
 
 
 def _several(transports) -> tuple[Transport, ...]:
@@ -233,30 +208,31 @@ class Publisher:
         settings, source, poses, bodies = self.settings, self.settings.pose_from, None, None
         if source is not None and source.kind == "tf":
             poses = FrameInput(source.name, settings.world_frame, self._refused)
-            self._subscribe(TF, POSE_SOURCES["tf"], poses, depth=TF_DEPTH)
-            self._subscribe(TF_STATIC, POSE_SOURCES["tf"], poses, depth=TF_DEPTH, reliable=True, latched=True)
+            self._subscribe(TF, POSE_SOURCES["tf"], poses.receive, depth=TF_DEPTH)
+            latched = {"reliable": True, "latched": True}
+            self._subscribe(TF_STATIC, POSE_SOURCES["tf"], poses.receive, depth=TF_DEPTH, **latched)
         elif source is not None:
             msgtype = POSE_SOURCES[source.kind]
             poses = PoseInput(source.name, msgtype, settings.world_frame, self._refused)
-            self._subscribe(source.name, msgtype, poses)
+            self._subscribe(source.name, msgtype, poses.receive)
         if settings.bodies_from is not None:
             bodies = BodiesInput(settings.bodies_from, scene, settings.world_frame, self._refused)
-            self._subscribe(settings.bodies_from, POSE_SOURCES["tf"], bodies, depth=TF_DEPTH)
+            self._subscribe(settings.bodies_from, POSE_SOURCES["tf"], bodies.receive, depth=TF_DEPTH)
         return poses, bodies
 
-    def _make_other_clock(self) -> PresenceInput | None:
+    def _make_other_clock(self) -> Event | None:
         """Subscribe to the clock of others while this one is the clock; a transport leaves its own messages out."""
         if "clock" not in self._topics:
             return None
-        others = PresenceInput()
-        self._subscribe(self._topics["clock"].name, TOPICS["clock"], others, depth=1)
-        return others
+        has_come = Event()
+        self._subscribe(self._topics["clock"].name, TOPICS["clock"], lambda _message: has_come.set(), depth=1)
+        return has_come
 
-    def _subscribe(self, name: str, msgtype: str, messages, reliable: bool = False, **quality) -> None:
-        """Have an input receive a topic; by best effort, which every publisher offers."""
+    def _subscribe(self, name: str, msgtype: str, receive: Callable, reliable: bool = False, **quality):
+        """Have a function receive a topic; by best effort, which every publisher offers."""
         topic = Topic.of_type(name, msgtype, reliable=reliable, **quality)
         for transport in self._transports:
-            self._withdrawals.append(transport.subscribe(topic, messages.receive))
+            self._withdrawals.append(transport.subscribe(topic, receive))
 
     def clock(self, name: str = "/clock") -> ClockInput:
         """Return what follows the time of a topic, for the loop; the publisher must not publish this topic itself."""
@@ -265,7 +241,7 @@ class Publisher:
                 f"a clock must not be published and followed at once (got {name!r}; set its topic to None)"
             )
         times = ClockInput(name, self._refused)
-        self._subscribe(name, TOPICS["clock"], times, depth=1)
+        self._subscribe(name, TOPICS["clock"], times.receive, depth=1)
         return times
 
     # ---- the loop ------------------------------------------------------------------------------------
@@ -329,23 +305,18 @@ class Publisher:
         self._tick(time_ns, slot.is_due)
         if slot.is_due:
             is_own = self._is_own_pose and self._are_own_bodies
-            due = _DuePing(time_ns, self._pose, self._moved, is_own)
+            self._work = self._executor.submit(self._ping, time_ns, self._pose, self._moved, is_own)
             self._moved = {}
-            self._work = self._executor.submit(self._ping, due)
             if not self._in_background:
                 self._finish()
         self._report()
-        return StepResult(slot.is_due, slot.n_dropped, slot.has_jumped, ping=self._take_published())
+        published, self._published = self._published, None
+        return StepResult(slot.is_due, slot.n_dropped, slot.has_jumped, ping=published)
 
     def _finish(self) -> None:
         """Wait for the ping that is made, and raise what was wrong with it."""
         work, self._work = self._work, None
         self._published = work.result()
-
-    def _take_published(self) -> Ping | None:
-        """Return the ping that no step has returned yet."""
-        ping, self._published = self._published, None
-        return ping
 
     def _tick(self, time_ns: int, is_due: bool = False) -> None:
         """Publish the clock, also before a ping, whose stamp must not lie ahead of it."""
@@ -385,12 +356,17 @@ class Publisher:
 
     # ---- a ping, in the thread of the simulation -------------------------------------------------------
 
-    def _ping(self, due: _DuePing) -> Ping | None:
-        """Make a ping, publish and return it; None if it cannot be made."""
-        settings, time_ns = self.settings, due.time_ns
-        pose = due.vehicle_pose @ settings.vehicle_from_sonar
-        if due.bodies:
-            self._simulator.place(due.bodies)
+    def _ping(self, time_ns: int, vehicle_pose: np.ndarray, bodies: dict, is_own: bool) -> Ping | None:
+        """Make a ping, publish and return it; None if it cannot be made.
+
+        vehicle_pose : (4, 4) world_from_vehicle, or that of the sonar if the settings name no vehicle
+        bodies : poses of those that have moved since the ping before
+        is_own : whether the caller placed all that is there, and is told what is wrong with the ping
+        """
+        settings = self.settings
+        pose = vehicle_pose @ settings.vehicle_from_sonar
+        if bodies:
+            self._simulator.place(bodies)
         try:
             with collected_warnings(NoEchoWarning):  # a device does not say that it sees nothing
                 ping = self._simulator.ping(
@@ -399,11 +375,16 @@ class Publisher:
         except MachineError:
             raise
         except Error as why:
-            if due.is_own:
+            if is_own:
                 raise
-            self._fail(why)
+            if not self._n_failed:
+                text = "a ping cannot be made at the poses that came: %s (others are only counted)"
+                logger.warning(text, why)
+            self._n_failed += 1
             return None
-        self._place(due)
+        if "tf" in self._topics:
+            link = settings.world_frame, settings.vehicle or settings.frame, vehicle_pose
+            self._send("tf", self._types.transforms([self._types.transform(time_ns, *link)]), time_ns)
         for kind, message in self._messages_of(ping, time_ns):
             self._send(kind, message, time_ns)
         self._n_pings += 1
@@ -425,12 +406,6 @@ class Publisher:
         except Error as why:  # of a place where the sonar may never be
             logger.debug("no ping can be made where the scene places the sonar: %s", why)
 
-    def _fail(self, why: Error) -> None:
-        """Count a ping that could not be made at the poses that came; log the first."""
-        if not self._n_failed:
-            logger.warning("a ping cannot be made at the poses that came: %s (others are only counted)", why)
-        self._n_failed += 1
-
     def _place_fixed(self, time_ns: int) -> None:
         """Publish the frames that do not move: that of the sonar on its vehicle, and that of the beams."""
         if "tf_static" not in self._topics:
@@ -443,14 +418,6 @@ class Publisher:
         links = [self._types.transform(time_ns, *link) for link in links]
         for transport in self._transports:
             publish_static(transport, self._topics["tf_static"], links, time_ns)
-
-    def _place(self, due: _DuePing) -> None:
-        """Publish where the vehicle is, or the sonar."""
-        if "tf" in self._topics:
-            settings = self.settings
-            link = settings.world_frame, settings.vehicle or settings.frame, due.vehicle_pose
-            message = self._types.transforms([self._types.transform(due.time_ns, *link)])
-            self._send("tf", message, due.time_ns)
 
     def _messages_of(self, ping: Ping, time_ns: int) -> Iterator[tuple[str, object]]:
         """Yield the messages of a ping with their kinds."""
@@ -489,7 +456,7 @@ class Publisher:
 
     def _report(self) -> None:
         """Log another clock, once, and what was lost, now and then."""
-        if self._other_clock is not None and self._other_clock.has_come:
+        if self._other_clock is not None and self._other_clock.is_set():
             self._other_clock = None
             logger.warning(
                 "another program publishes %s as well, so that time jumps to and fro for all that follow it; one alone "

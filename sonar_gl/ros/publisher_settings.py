@@ -168,7 +168,9 @@ class PublisherSettings:
         with errors_at("mount"):
             pose(*self.mount)
         self._check_frames()
-        self._check_names()
+        names = list(self.topic_names.values())
+        if len(set(names)) < len(names):
+            raise Error(f"topics must have different names (got {', '.join(sorted(names))})")
 
     def _check_frames(self) -> None:
         if self.reads_tf and self.vehicle_frame not in (None, self.pose_from.name):
@@ -185,11 +187,6 @@ class PublisherSettings:
             )
         if self.vehicle is None and any(self.mount):
             raise Error("a mount needs vehicle_frame (it is the pose of the sonar in that frame)")
-
-    def _check_names(self) -> None:
-        names = list(self.topic_names.values())
-        if len(set(names)) < len(names):
-            raise Error(f"topics must have different names (got {', '.join(sorted(names))})")
 
     @property
     def reads_tf(self) -> bool:

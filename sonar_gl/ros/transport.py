@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 from sonar_gl.core.checks import check_whole_number, shown
 from sonar_gl.core.errors import Error, other_process_error
@@ -16,12 +18,9 @@ MAX_DOMAIN = 232  # of ROS 2; beyond, DDS has no ports
 
 
 def ros_domain(domain: int | None = None) -> int:
-    """Return a domain of ROS 2; None is the environment variable ROS_DOMAIN_ID, or 0, as for nodes of ROS 2.
+    """Return a domain of ROS 2, a whole number in 0..232, or raise an Error.
 
-    Raises
-    ------
-    Error
-        if it is no whole number in 0..232.
+    None is the environment variable ROS_DOMAIN_ID, or 0, as for nodes of ROS 2.
     """
     if domain is not None:
         return check_whole_number("the ROS domain", domain, 0, MAX_DOMAIN, "as in ROS_DOMAIN_ID")
@@ -58,17 +57,9 @@ class Topic:
     def of_type(cls, name: str, msgtype: str, **quality) -> Topic:
         """Return a topic of a type that `message_types` knows, with its hash and definition.
 
-        Parameters
-        ----------
-        name, msgtype : as of a Topic; types are those of ROS 2 Humble, and of pings
+        name, msgtype : as of a Topic; types are those of ROS 2 Humble, and of pings. Of others make a `Topic` with hash
+            and definition: here they are an Error
         quality : `reliable`, `latched` and `depth` of the Topic
-
-        Raises
-        ------
-        Error
-            if the type is not known: make a `Topic` with its hash and definition; or an extra is not installed.
-
-        Examples
         --------
         >>> Topic.of_type("/chatter", "std_msgs/msg/String").type_hash[:15]
         'RIHS01_df668c74'
@@ -117,3 +108,24 @@ class Transport(ABC):
     @abstractmethod
     def close(self) -> None:
         """Withdraw the topics and give back what it holds; may be called twice."""
+
+
+# of each transport: links of all publishers, by name of the topic and child frame
+_static_links: WeakKeyDictionary[Transport, dict[tuple[str, str], object]] = WeakKeyDictionary()
+_static_lock = threading.Lock()  # also while a message is sent, so that a later one holds no fewer links
+
+
+def publish_static(transport: Transport, topic: Topic, links: Sequence, time_ns: int) -> None:
+    """Publish frames that do not move, together with those of before; one of the same child frame replaces another.
+
+    A latched topic keeps one message for late subscribers, so that each message of /tf_static must hold all links, as
+    those of tf2_ros' StaticTransformBroadcaster do. A frame stays when its publisher is closed, as it does there.
+
+    links : geometry_msgs/TransformStamped
+    """
+    types = message_types()
+    with _static_lock:
+        known = _static_links.setdefault(transport, {})
+        known |= {(topic.name, link.child_frame_id): link for link in links}
+        links = [link for (name, _), link in known.items() if name == topic.name]
+        transport.publish(topic, types.encode(types.transforms(links)), time_ns)

@@ -12,7 +12,6 @@ from trimesh.transformations import quaternion_from_matrix
 
 from sonar_gl.core.poses import pose
 from sonar_gl.ros.message_inputs import (
-    MAX_MESSAGE_BYTES,
     BodiesInput,
     ClockInput,
     FrameInput,
@@ -71,7 +70,6 @@ def test_big_endian_messages_are_read(refused):
         ("no such message", pose_stamped(PLACE)[:-1]),
         ("no such message", b"\x00\x06" + pose_stamped(PLACE)[2:]),
         ("no such message", pose_stamped(PLACE)[:12] + b"\xff\xff\xff\x7f" + pose_stamped(PLACE)[16:]),
-        ("too long", bytes(MAX_MESSAGE_BYTES + 1)),
         ("not finite", pose_stamped(PLACE, x=math.nan)),
         ("not finite", pose_stamped(PLACE, quaternion=(math.inf, 0, 0, 0))),
         ("too far", pose_stamped(PLACE, x=-1e300)),
@@ -118,16 +116,6 @@ def test_frames_in_a_circle_end(refused):
     frames = FrameInput("base_link", "world", refused)
     frames.receive(transforms(("odom", "base_link", PLACE), ("base_link", "odom", PLACE)))
     assert frames.latest() is None
-
-
-def test_the_number_of_frames_has_a_bound(refused, monkeypatch):
-    monkeypatch.setattr("sonar_gl.ros.message_inputs.MAX_FRAMES", 1000)
-    frames = FrameInput("base_link", "world", refused)
-    for first in range(0, 1000, 500):
-        frames.receive(transforms(*[("world", f"f{first + k}", np.eye(4)) for k in range(500)]))
-    assert refused.total == 0
-    frames.receive(transforms(("world", "base_link", np.eye(4)), ("world", "f7", PLACE)))
-    assert refused.by_kind() == {("/tf", "too many frames"): 1} and frames.latest() is None
 
 
 def test_bodies_are_taken_once_and_a_wrong_one_spoils_no_other(refused):
