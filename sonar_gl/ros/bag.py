@@ -246,19 +246,13 @@ class _PartWriter:
 
 @dataclass(frozen=True)
 class BagContents:
-    """The contents of an MCAP file.
+    """The contents of an MCAP file."""
 
-    Attributes
-    ----------
-    name : name of the file in its folder
-    start_ns, end_ns : times of the first and the last message
-    topics : topic -> type and number of its messages
-    """
-
-    name: str
+    name: str  # name of the file in its folder
+    # times of the first and the last message
     start_ns: int
     end_ns: int
-    topics: dict[str, tuple[str, int]]
+    topics: dict[str, tuple[str, int]]  # topic -> type and number of its messages
 
     @property
     def count(self) -> int:
@@ -318,14 +312,7 @@ def read_contents(file, name: str) -> BagContents:
 def bag_metadata(parts: Iterable[BagContents]) -> str:
     """Return the text of metadata.yaml, by which ROS opens the folder of these files as a bag.
 
-    Parameters
-    ----------
-    parts : of `read_contents`, at least one, in any order
-
-    Raises
-    ------
-    Error
-        if two parts overlap in time.
+    parts : of `read_contents`, at least one, in any order; Error if two of them overlap in time
     """
     parts = sorted(parts, key=lambda part: (part.start_ns, part.end_ns, part.name))
     for former, latter in pairwise(parts):

@@ -149,24 +149,14 @@ class DdsTransport(Transport):
             )
 
     def advertise(self, topic: Topic) -> None:
-        """Make a topic known to other programs.
-
-        Raises
-        ------
-        Error
-            if DDS cannot carry its type, the same name has another type, or the transport is closed.
-        """
+        """Make a topic known; raise Error if DDS cannot carry its type, its name has another, or this is closed."""
         self._writer(topic)
 
     def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
         """Send a message without waiting for readers; the oldest of more than `depth` that wait for one is dropped.
 
-        time_ns is not used: DDS stamps messages by the clock.
-
-        Raises
-        ------
-        Error
-            as `advertise` does, or if the message does not have the layout of its type.
+        DDS stamps messages by the clock, not by `time_ns`. Raises Error as `advertise` does, or if the message does not
+        have the layout of its type.
         """
         writer = self._writer(topic)
         try:
@@ -180,15 +170,8 @@ class DdsTransport(Transport):
     def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
         """Call `receive` with each message of other participants, in a thread of the transport.
 
-        Returns a function that withdraws the subscription.
-
         Messages that do not have the layout of the type do not arrive. Up to three bytes that only fill the last word
-        may follow a message. What `receive` raises is logged, once for the topic.
-
-        Raises
-        ------
-        Error
-            as `advertise` does.
+        may follow a message. What `receive` raises is logged, once for the topic. Raises Error as `advertise` does.
         """
         dds = self._dds
         check_process(self._process, "DdsTransport")
@@ -391,22 +374,10 @@ def _data_type(msgtype: str, definition: str) -> type:
     except Exception as why:  # rosbags and Cyclone DDS raise what they like
         understood = f"its definition is not understood ({why})"
         raise Error(f"DDS cannot carry the type {msgtype!r}: {understood}") from None
-    data_type.__init__ = _set_message
-    data_type.serialize = _message_of
-    data_type.deserialize = data_type.deserialize_key = classmethod(_sample_of)
+    data_type.__init__ = lambda sample, message: setattr(sample, "message", message)
+    data_type.serialize = lambda sample, **_: sample.message
+    data_type.deserialize = data_type.deserialize_key = classmethod(lambda made, message, **_: made(message))
     return data_type
-
-
-def _set_message(sample, message: bytes):
-    sample.message = message
-
-
-def _message_of(sample, **_) -> bytes:
-    return sample.message
-
-
-def _sample_of(data_type, message: bytes, **_):
-    return data_type(message)
 
 
 class _IdlTypes:
@@ -512,16 +483,12 @@ class _Receiver:
         for sample in reader.take(TAKEN_AT_ONCE, condition):
             # a sample without data tells that a writer is gone
             is_message = sample.sample_info.valid_data and sample.message[:2] == LITTLE_ENDIAN
-            if is_message and number in self._readers:
-                self._give(name, receive, sample.message)
-
-    def _give(self, name: str, receive: Callable[[bytes], None], message: bytes) -> None:
-        if self._is_closed:
-            return
-        try:
-            receive(message)
-        except Exception:
-            self._log_once(name, "a message of %r is lost: the function that receives it fails", name)
+            if not is_message or self._is_closed or number not in self._readers:
+                continue
+            try:
+                receive(sample.message)
+            except Exception:
+                self._log_once(name, "a message of %r is lost: the function that receives it fails", name)
 
     def _log_once(self, kind: str | None, *message) -> None:
         if kind not in self._failed:

@@ -47,10 +47,6 @@ def discovery_message(
 ) -> bytes:
     """Return the message of a participant with one node, in CDR.
 
-    Parameters
-    ----------
-    distribution : one of DISTRIBUTIONS
-    node : its name
     participant, readers, writers : GUIDs of the entities, 16 bytes each
 
     >>> discovery_message("jazzy", "sonar", bytes(16), [], []).hex(" ", 4)[36:]

@@ -98,23 +98,14 @@ class FoxgloveTransport(Transport):
             return self._dropped + sum(inbox.missed for _, inbox in self._readers)
 
     def advertise(self, topic: Topic) -> None:
-        """Make a topic known to viewers.
-
-        Raises
-        ------
-        Error
-            if the same name has another type, or the transport is closed.
-        """
+        """Make a topic known to viewers; raise Error if the same name has another type, or the transport is closed."""
         with self._lock:
             self._channel(topic)
 
     def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
         """Send a message without waiting; a viewer that is too slow misses the oldest of MAX_BACKLOG.
 
-        Raises
-        ------
-        Error
-            as `advertise`.
+        Raises Error as `advertise`.
         """
         with self._lock:
             channel = self._channel(topic)
@@ -126,13 +117,8 @@ class FoxgloveTransport(Transport):
         """Call `receive` with each message that viewers publish on a topic, in a thread of its own.
 
         Messages of another type are ignored, and those in another encoding than CDR, of which the log tells. While
-        `receive` works, `topic.depth` messages wait, of which newer ones replace older ones. Returns a function that
-        withdraws the subscription.
-
-        Raises
-        ------
-        Error
-            if the transport is closed.
+        `receive` works, `topic.depth` messages wait, of which newer ones replace older ones. Raises Error if the
+        transport is closed.
         """
         with self._lock:
             self._check_open()
@@ -222,8 +208,6 @@ class FoxgloveTransport(Transport):
 class _Listener:
     """Told by the server, in its threads, of what viewers do.
 
-    Parameters
-    ----------
     repeat : called with the name of a topic to which a viewer subscribes
     read : called with name, type and bytes of each message in CDR that a viewer publishes
     """

@@ -17,11 +17,7 @@ class Inbox(Listener):
 
     Threads of a network library tell it messages; they must never wait for the reader, nor may messages pile up.
 
-    Parameters
-    ----------
-    name : of the topic, for the log
-    receive : called with each message
-    depth : number of messages that may wait, 1 or more
+    receive : called with each message, of which `depth` may wait, 1 or more
     """
 
     def __init__(self, name: str, receive: Callable[[bytes], None], depth: int):

@@ -122,10 +122,7 @@ class MessageTypes:
     def decode(self, data: bytes, msgtype: str):
         """Return the message in CDR bytes of the type "package/msg/Name".
 
-        Raises
-        ------
-        Error
-            if the bytes are no such message. They may be anything: lengths are checked before memory is taken.
+        Raises Error if the bytes are no such message. They may be anything: lengths are checked before memory is taken.
         """
         # 0 0 is big endian, 0 1 little; other marks are encodings that ROS does not use
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):

@@ -11,19 +11,13 @@ BACK_NS = 10**9
 
 
 class Slot(NamedTuple):
-    """What a schedule says of one step of the loop.
+    """What a schedule says of one step of the loop."""
 
-    Attributes
-    ----------
-    is_due : whether to ping now
-    n_dropped : number of earlier pings that are left out from this step on: there was no step for them, or they waited
-        until the next one was due
-    has_jumped : whether time jumped, so that the schedule began anew
-    """
-
-    is_due: bool
+    is_due: bool  # whether to ping now
+    # number of earlier pings that are left out from this step on: there was no step for them, or they waited until the
+    # next one was due
     n_dropped: int = 0
-    has_jumped: bool = False
+    has_jumped: bool = False  # whether time jumped, so that the schedule began anew
 
 
 class PingSchedule:
@@ -32,8 +26,6 @@ class PingSchedule:
     A ping is made in the first step at or after its time. If another one's time has come by then, it is dropped, so
     that nothing piles up, and the times that follow do not drift.
 
-    Parameters
-    ----------
     rate_hz : pings per second, of the time of the steps
 
     >>> schedule = PingSchedule(10.0)
@@ -49,16 +41,12 @@ class PingSchedule:
     def advance(self, time_ns: int, is_ready: bool = True) -> Slot:
         """Return what to do at a time.
 
-        Parameters
-        ----------
-        time_ns : nanoseconds
-        is_ready : whether a ping can be made; if not, one that is due waits for the next step
-
-        Notes
-        -----
         Steps that go back by up to BACK_NS, and no more than a period before the last ping, wait until their time
         comes again. Larger ones, and those that go ahead by more than JUMP_NS, are a jump: the simulation was reset,
         or a bag began again. The sonar then pings at once, and nothing counts as dropped.
+
+        time_ns : nanoseconds
+        is_ready : whether a ping can be made; if not, one that is due waits for the next step
         """
         has_jumped = self._start_ns is not None and self._is_jump(time_ns)
         if self._start_ns is None or has_jumped:

@@ -30,23 +30,11 @@ TYPE_NAME = re.compile(r"(\w+)/msg/(\w+)", re.ASCII)
 
 @dataclass(frozen=True)
 class RosNode:
-    """A node of ROS 2 without a namespace, the only one of its session.
+    """A node of ROS 2 without a namespace, the only one of its session; Error if ROS allows no such name or domain."""
 
-    Parameters
-    ----------
-    name : letters, digits and "_", first a letter or "_"
-    domain : ROS_DOMAIN_ID, 0..232
-    type_hashes : False for ROS 2 Humble, which knows no hashes of types
-
-    Raises
-    ------
-    Error
-        if the name or the domain is none of ROS.
-    """
-
-    name: str
-    domain: int = 0
-    type_hashes: bool = True
+    name: str  # letters, digits and "_", first a letter or "_"
+    domain: int = 0  # ROS_DOMAIN_ID, 0..232
+    type_hashes: bool = True  # False for ROS 2 Humble, which knows no hashes of types
 
     def __post_init__(self):
         check_whole_number("the ROS domain", self.domain, 0, MAX_DOMAIN, "as in ROS_DOMAIN_ID")
@@ -67,21 +55,14 @@ class RosNode:
         return "/".join([str(self.domain), topic.name[1:], *self._type(topic)])
 
     def token(self, session: str) -> str:
-        """Return the liveliness token of this node.
-
-        session : identifier of the zenoh session, hexadecimal
-        """
+        """Return the liveliness token of this node; `session` is the identifier of the zenoh session, hexadecimal."""
         return self._token(session, 0, "NN")
 
     def entity_token(self, session: str, number: int, kind: str, topic: Topic) -> str:
         """Return the liveliness token of a publisher or subscription.
 
-        Parameters
-        ----------
-        session : identifier of the zenoh session, hexadecimal
         number : of the entity, which no other one of the session has, 1 or more
         kind : PUBLISHER or SUBSCRIPTION
-        topic : its topic
         """
         parts = topic.name.replace("/", "%"), *self._type(topic), quality_text(topic)
         return "/".join([self._token(session, number, kind), *parts])
@@ -123,16 +104,10 @@ def gid_of(token: str) -> bytes:
 
 
 def attachment(number: int, time_ns: int, gid: bytes) -> bytes:
-    """Return what is attached to a message.
+    """Return what is attached to a message, 33 bytes.
 
-    Parameters
-    ----------
     number : of the message, from 1 for the first one of its publisher
     time_ns : time of sending, nanoseconds since 1970, by the computer's clock
     gid : of the publisher, 16 bytes
-
-    Returns
-    -------
-    33 bytes
     """
     return ATTACHMENT.pack(number, time_ns, GID_BYTES, gid)

@@ -115,26 +115,14 @@ class ZenohTransport(Transport):
             return self._dropped + sum(inbox.missed for inbox in self._subscribed)
 
     def advertise(self, topic: Topic) -> None:
-        """Make a topic known to other programs.
-
-        Raises
-        ------
-        Error
-            if ROS does not allow its name or its type, the same name has another type, or the transport is closed.
-        """
+        """Make a topic known; Error if ROS does not allow its name or type, its name has another, or this is closed."""
         self._sender(topic)
 
     def publish(self, topic: Topic, message: bytes, time_ns: int) -> None:
         """Send a message without waiting; where the network is too slow, it is dropped, as rmw_zenoh does.
 
-        Raises
-        ------
-        Error
-            as `advertise`.
-
-        Notes
-        -----
-        `time_ns` is not sent: rmw_zenoh attaches the time of sending, by the computer's clock.
+        The time of sending goes with it, by the computer's clock as of rmw_zenoh, not `time_ns`. Raises Error as
+        `advertise`.
         """
         sender = self._sender(topic)
         with sender.lock:
@@ -148,13 +136,8 @@ class ZenohTransport(Transport):
     def subscribe(self, topic: Topic, receive: Callable[[bytes], None]) -> Callable[[], None]:
         """Call `receive` with each message of other programs on a topic, in a thread of its own.
 
-        While it works, `topic.depth` messages wait, of which newer ones replace older ones. Returns a function that
-        withdraws the subscription.
-
-        Raises
-        ------
-        Error
-            as `advertise`.
+        While it works, `topic.depth` messages wait, of which newer ones replace older ones. Raises Error as
+        `advertise`.
         """
         check_process(self._process, "ZenohTransport")
         key, zenoh, ext = self._node.key(topic), self._libraries.zenoh, self._libraries.ext
