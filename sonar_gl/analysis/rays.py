@@ -42,75 +42,46 @@ class Aperture(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """n rays.
+    """n rays."""
 
-    Attributes
-    ----------
-    azimuth_rad : (n,) float64, where the sonar shows the ray
-    origin : (n, 3) float32, metres, `start_m` from the sonar along the ray
-    direction : (n, 3) float32, unit vectors in the sonar frame
-    start_m : range at which the rays start, metres
-    share : (n,) float64, of the solid angle for which a ray stands, over the mean that upright beams have
-    """
-
-    azimuth_rad: np.ndarray
-    origin: np.ndarray
-    direction: np.ndarray
-    start_m: float
+    azimuth_rad: np.ndarray  # (n,) float64, where the sonar shows the ray
+    origin: np.ndarray  # (n, 3) float32, metres, `start_m` from the sonar along the ray
+    direction: np.ndarray  # (n, 3) float32, unit vectors in the sonar frame
+    start_m: float  # range at which the rays start, metres
+    # (n,) float64, of the solid angle for which a ray stands, over the mean that upright beams have
     share: np.ndarray
 
 
 class Hits(NamedTuple):
-    """The first face on each of n rays, as Embree returns it.
+    """The first face on each of n rays, as Embree returns it."""
 
-    Attributes
-    ----------
-    distance_m : (n,) float32 from the ray's origin
-    normal : (n, 3) float32 of the face, of any length
-    u, v : (n,) float32 barycentric coordinates of the second and third corner
-    body : (n,) int32 index of the body; -1 where the ray hits nothing
-    face : (n,) int32 index of the face in its body
-    """
-
-    distance_m: np.ndarray
-    normal: np.ndarray
+    distance_m: np.ndarray  # (n,) float32 from the ray's origin
+    normal: np.ndarray  # (n, 3) float32 of the face, of any length
+    # u, v: (n,) float32 barycentric coordinates of the second and third corner
     u: np.ndarray
     v: np.ndarray
-    body: np.ndarray
-    face: np.ndarray
+    body: np.ndarray  # (n,) int32 index of the body; -1 where the ray hits nothing
+    face: np.ndarray  # (n,) int32 index of the face in its body
 
 
 class Surfaces(NamedTuple):
-    """What M bodies with F faces reflect.
+    """What M bodies with F faces reflect."""
 
-    Attributes
-    ----------
-    first_face : (M + 1,) int64 index of the first face of each body in the arrays of faces
-    reflectivity : (F,) float64
-    corner_normals : (F, 3, 3) float32 normals at the corners of each face in the sonar frame, or (0, 3, 3)
-        if no body has any; a face whose normals have no length is flat
-    lobe : (M, 2) float64 strength and rms slope, radians, of each body's specular lobe
-    """
-
-    first_face: np.ndarray
-    reflectivity: np.ndarray
+    first_face: np.ndarray  # (M + 1,) int64 index of the first face of each body in the arrays of faces
+    reflectivity: np.ndarray  # (F,) float64
+    # (F, 3, 3) float32 normals at the corners of each face in the sonar frame, or (0, 3, 3) if no body has any; a face
+    # whose normals have no length is flat
     corner_normals: np.ndarray
-    lobe: np.ndarray
+    lobe: np.ndarray  # (M, 2) float64 strength and rms slope, radians, of each body's specular lobe
 
 
 class Nodes(NamedTuple):
-    """Azimuths at which the echoes of one block of the fan are summed before they are formed into beams.
+    """Azimuths at which the echoes of one block of the fan are summed before they are formed into beams."""
 
-    Attributes
-    ----------
-    azimuth_rad : (N,) rising, enclosing all rays of the block
-    interpolated : True divides an echo between its two neighbours, linearly; False adds it to the node before it
-    total_weight : (N,) weight of an echo at each node in the sum of all beams
-    """
-
-    azimuth_rad: np.ndarray
+    azimuth_rad: np.ndarray  # (N,) rising, enclosing all rays of the block
+    # True divides an echo between its two neighbours, linearly; False adds it to the node before it
     interpolated: bool
-    total_weight: np.ndarray
+    total_weight: np.ndarray  # (N,) weight of an echo at each node in the sum of all beams
 
 
 class Bins(NamedTuple):
@@ -124,21 +95,9 @@ class Bins(NamedTuple):
 class RayScene:
     """A Scene in Embree, in the frame of a sonar at `pose`; transformed in float64 before it is rounded to float32.
 
-    Parameters
-    ----------
     scene : Scene
     pose : (4, 4) world_from_sonar
     specular : whether bodies have specular lobes
-
-    Attributes
-    ----------
-    n_bodies : number of bodies
-    surfaces : Surfaces
-
-    Raises
-    ------
-    Error
-        if Embree is missing.
     """
 
     def __init__(self, scene, pose, specular: bool):
@@ -272,34 +231,30 @@ def _cos_incidence(rays, hits, n, corner_normals, face):
     Interpolated normals are turned to the side of the face that the sonar is on. Where they still point away from
     the sonar, cos θ is 0.
     """
-    dx, dy, dz = float(rays.direction[n, 0]), float(rays.direction[n, 1]), float(rays.direction[n, 2])
-    nx, ny, nz = float(hits.normal[n, 0]), float(hits.normal[n, 1]), float(hits.normal[n, 2])
-    length2 = nx * nx + ny * ny + nz * nz
+    length2 = towards = 0.0
+    for axis in range(3):
+        normal = float(hits.normal[n, axis])
+        length2 += normal * normal
+        towards += normal * float(rays.direction[n, axis])
     cosine = 0.0
     if length2 > 0.0:
-        cosine = -(nx * dx + ny * dy + nz * dz) / math.sqrt(length2)
+        cosine = -towards / math.sqrt(length2)
         if corner_normals.shape[0] > 0:
             b, c = float(hits.u[n]), float(hits.v[n])
             a = 1.0 - b - c
-            sx = (
-                a * corner_normals[face, 0, 0]
-                + b * corner_normals[face, 1, 0]
-                + c * corner_normals[face, 2, 0]
-            )
-            sy = (
-                a * corner_normals[face, 0, 1]
-                + b * corner_normals[face, 1, 1]
-                + c * corner_normals[face, 2, 1]
-            )
-            sz = (
-                a * corner_normals[face, 0, 2]
-                + b * corner_normals[face, 1, 2]
-                + c * corner_normals[face, 2, 2]
-            )
-            shading2 = sx * sx + sy * sy + sz * sz
+            shading2 = side = towards = 0.0
+            for axis in range(3):
+                shading = (
+                    a * corner_normals[face, 0, axis]
+                    + b * corner_normals[face, 1, axis]
+                    + c * corner_normals[face, 2, axis]
+                )
+                shading2 += shading * shading
+                side += shading * float(hits.normal[n, axis])
+                towards += shading * float(rays.direction[n, axis])
             if shading2 > 1e-6:
-                same_side = (sx * nx + sy * ny + sz * nz) * cosine >= 0.0
-                cosine = -(sx * dx + sy * dy + sz * dz) / math.sqrt(shading2)
+                same_side = side * cosine >= 0.0
+                cosine = -towards / math.sqrt(shading2)
                 cosine = max(cosine if same_side else -cosine, 0.0)
     return min(abs(cosine), 1.0)
 
@@ -324,9 +279,6 @@ def backscatter(cosine, reflectivity, strength, slope_rad):
 def add_echoes(rays, hits, weights, surfaces, nodes, bins, node_sums, body_sums):
     """Add the echo of each ray to the bin of its range.
 
-    Parameters
-    ----------
-    rays, hits, surfaces, nodes, bins : Rays, Hits, Surfaces, Nodes and Bins
     weights : (n,) factor of each ray's echo
     node_sums : (N, K) float64, backscatter without gain; added to
     body_sums : (M + 1,) float64, backscatter with gain in the sum of all beams, by number of the body; added to
@@ -366,8 +318,6 @@ def form_beams(node_sums, beams, weights, out):
 
     NumPy's matrix product, called from two threads at once, is ten times slower.
 
-    Parameters
-    ----------
     node_sums : (N, K) float64
     beams : (b,) int64 indices of beams
     weights : (b, N) float64

@@ -143,19 +143,11 @@ def reference_ping(
 
 
 class _Progress:
-    """Counts the rays of both halves, and reports their number.
-
-    Parameters
-    ----------
-    report : function (rays cast, rays expected)
-
-    Attributes
-    ----------
-    expected : rays of both halves until they agree, as estimated so far
-    """
+    """Counts the rays of both halves, and has a function (rays cast, rays expected) report them."""
 
     def __init__(self, report: Callable[[int, int], None]):
-        self.expected, self._cast, self._report, self._lock = 0, 0, report, threading.Lock()
+        self.expected = 0  # rays of both halves until they agree, as estimated so far
+        self._cast, self._report, self._lock = 0, report, threading.Lock()
 
     def add(self, n_rays: int) -> None:
         """Count more rays; may be called by both threads."""
@@ -204,18 +196,11 @@ def _check_contents(scene: Scene, acoustics: Acoustics) -> None:
 
 @dataclass(frozen=True)
 class _Convergence:
-    """How far the two halves A and B differ after `n_rays` rays.
+    """How far the two halves A and B differ after `n_rays` rays."""
 
-    Attributes
-    ----------
-    n_rays : of both halves together
-    difference : Σ|A − B| over Σ(A + B)/2, over beams and bins
-    body_difference : the largest |A − B| over (A + B)/2 of the echo of a body
-    """
-
-    n_rays: int
-    difference: float
-    body_difference: float
+    n_rays: int  # of both halves together
+    difference: float  # Σ|A − B| over Σ(A + B)/2, over beams and bins
+    body_difference: float  # the largest |A − B| over (A + B)/2 of the echo of a body
 
     @property
     def worst(self) -> float:
@@ -259,65 +244,41 @@ def _differences(halves: list[_Half], fan: _Fan) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """One of the 2^k intervals of azimuth that have equally many rays.
+    """One of the 2^k intervals of azimuth that have equally many rays."""
 
-    Attributes
-    ----------
-    nodes : Nodes, N of them
-    beams : (b,) int64 indices of the beams that receive echoes from the block
-    weights : (b, N) float64 weight of an echo at each node in each of these beams, per steradian
-    """
-
-    nodes: Nodes
-    beams: np.ndarray
-    weights: np.ndarray
+    nodes: Nodes  # N of them
+    beams: np.ndarray  # (b,) int64 indices of the beams that receive echoes from the block
+    weights: np.ndarray  # (b, N) float64 weight of an echo at each node in each of these beams, per steradian
 
 
 @dataclass(frozen=True, eq=False)
 class _Fan:
-    """What rays need of a sonar with B beams and K bins.
-
-    Attributes
-    ----------
-    aperture : Aperture
-    bins : Bins
-    blocks : 2^log2_blocks of _Block, by rising azimuth
-    n_beams : B
-    transmit : beam pattern of the transmitter, function of azimuths, radians; None if it is even
-    elevation : two-way beam pattern in elevation, function of sines of elevation; None if it is even
-    """
+    """What rays need of a sonar with B beams and K bins."""
 
     aperture: Aperture
     bins: Bins
-    blocks: tuple[_Block, ...]
+    blocks: tuple[_Block, ...]  # 2^log2_blocks of _Block, by rising azimuth
     log2_blocks: int
-    n_beams: int
+    n_beams: int  # B
+    # beam pattern of the transmitter, function of azimuths, radians; None if it is even
     transmit: Callable | None
+    # two-way beam pattern in elevation, function of sines of elevation; None if it is even
     elevation: Callable | None
 
     @property
     def solid_angle_sr(self) -> float:
-        """The solid angle that the rays fill."""
         return self.aperture.span_rad * 2 * self.aperture.max_sine
 
 
 @dataclass(frozen=True, eq=False)
 class _Receiver:
-    """In which directions B beams receive, and how much.
+    """In which directions B beams receive, and how much."""
 
-    Attributes
-    ----------
-    axes_rad : (B,) azimuths of the beams
-    pattern : function (azimuth_rad, steer_rad) -> receive power pattern; None for boxes
-    support_rad : how far from its axis a beam receives
-    all_lobes : beams receive from further away, too: all between start_rad and stop_rad
-    start_rad, stop_rad : azimuths between which any beam receives
-    """
-
-    axes_rad: np.ndarray
-    pattern: Callable | None
-    support_rad: float
-    all_lobes: bool
+    axes_rad: np.ndarray  # (B,) azimuths of the beams
+    pattern: Callable | None  # function (azimuth_rad, steer_rad) -> receive power pattern; None for boxes
+    support_rad: float  # how far from its axis a beam receives
+    all_lobes: bool  # beams receive from further away, too: all between start_rad and stop_rad
+    # start_rad, stop_rad: azimuths between which any beam receives
     start_rad: float
     stop_rad: float
 
@@ -420,10 +381,7 @@ def _solid_angles(
 ) -> np.ndarray:
     """Return the solid angle of each beam over its patterns, (B,).
 
-    Parameters
-    ----------
-    elevation : of `_Fan`
-    n_places : within the pattern in elevation
+    n_places : within the pattern in elevation, which is that of `_Fan`
     """
     if aperture.are_cones:
         return _solid_angles_of_cones(receiver, node_azimuths, aperture, elevation, n_places)
@@ -439,10 +397,8 @@ def _solid_angles_of_cones(
 ) -> np.ndarray:
     """Return the solid angle of each beam that receives along cones, over its patterns, (B,).
 
-    Parameters
-    ----------
     shown_rad : (N,) azimuths at which cones are shown, rising
-    elevation, n_places : as of `_solid_angles`, around a cone
+    n_places : as of `_solid_angles`, around a cone
     """
     above = np.arcsin(np.minimum(aperture.max_sine / np.cos(shown_rad), 1))
     ends = np.minimum(above, np.arccos(np.abs(np.tan(shown_rad)) / aperture.max_tan))
@@ -468,19 +424,12 @@ def _wrap(azimuth_rad, first_rad):
 
 
 class _Half:
-    """One of the two independent estimates.
-
-    Attributes
-    ----------
-    beam_sums : (B, K) float64 echo of the rays so far, without gain
-    body_sums : (M + 1,) float64 echo by number of the body, with gain
-    progress : _Progress of both halves
-    """
+    """One of the two independent estimates."""
 
     def __init__(self, scene: RayScene, fan: _Fan, seeds: np.random.SeedSequence, progress: _Progress):
         self.progress = progress
-        self.beam_sums = np.zeros((fan.n_beams, len(fan.bins.gain)))
-        self.body_sums = np.zeros(scene.n_bodies + 1)
+        self.beam_sums = np.zeros((fan.n_beams, len(fan.bins.gain)))  # echo of the rays so far, without gain
+        self.body_sums = np.zeros(scene.n_bodies + 1)  # by number of the body, with gain
         self._scene, self._fan, self._keys = scene, fan, seeds.generate_state(4, np.uint32)
         self._rays = Rays(np.empty(BATCH), *np.empty((2, BATCH, 3), np.float32), NEAR_M, np.empty(BATCH))
         self._done = 0  # rays of each block

@@ -41,25 +41,19 @@ CHANGED_DB = 3.0  # a bin that changes by more has another tone: 13 counts of 25
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """One term, and how to switch it.
+    """One term, and how to switch it."""
 
-    Attributes
-    ----------
-    name : as in reports
-    is_on : function (acoustics, noise) -> whether it is on
-    on, off : fields that switch it on, and off
-    of_noise, of_water : True if these are fields of Noise or of Water; else they are of Acoustics
-    acts_in : function Scene -> False if the scene has nothing that the term could act on
-    acts_with : function (acoustics, sonar) -> False if the term does not act in such water or with such a sonar
-    """
-
-    name: str
-    is_on: Callable[[Acoustics, Noise], bool]
+    name: str  # as in reports
+    is_on: Callable[[Acoustics, Noise], bool]  # function (acoustics, noise) -> whether it is on
+    # on, off: fields that switch it on, and off
     on: dict
     off: dict
+    # of_noise, of_water: True if these are fields of Noise or of Water; else they are of Acoustics
     of_noise: bool = False
     of_water: bool = False
+    # function Scene -> False if the scene has nothing that the term could act on
     acts_in: Callable[[Scene], bool] = lambda scene: True
+    # function (acoustics, sonar) -> False if the term does not act in such water or with such a sonar
     acts_with: Callable[[Acoustics, Sonar], bool] = lambda acoustics, sonar: True
 
     def changed(self, acoustics: Acoustics, noise: Noise, values: dict) -> tuple[Acoustics, Noise]:
@@ -141,23 +135,14 @@ TERMS = (
 
 @dataclass(frozen=True, eq=False)
 class StatedTerm:
-    """A term that acts only where the sonar or the noise states it, and has no switch but its field.
+    """A term that acts only where the sonar or the noise states it, and has no switch but its field."""
 
-    Attributes
-    ----------
-    name : as in reports
-    is_stated : function (noise, sonar) -> whether it acts
-    off : fields that switch it off
-    of_noise : True if these are fields of Noise; else they are of Sonar
-    """
-
-    name: str
-    is_stated: Callable[[Noise, Sonar], bool]
-    off: dict
-    of_noise: bool = False
+    name: str  # as in reports
+    is_stated: Callable[[Noise, Sonar], bool]  # function (noise, sonar) -> whether it acts
+    off: dict  # fields that switch it off
+    of_noise: bool = False  # True if these are fields of Noise; else they are of Sonar
 
     def without(self, noise: Noise, sonar: Sonar) -> tuple[Noise, Sonar]:
-        """Return both without the term."""
         return (replace(noise, **self.off), sonar) if self.of_noise else (noise, replace(sonar, **self.off))
 
 
@@ -191,7 +176,6 @@ def everything_on(acoustics: Acoustics, noise: Noise) -> tuple[Acoustics, Noise]
 
 
 def without(acoustics: Acoustics, noise: Noise, terms: Iterable[Term]) -> tuple[Acoustics, Noise]:
-    """Return both with some terms off."""
     for term in terms:
         acoustics, noise = term.changed(acoustics, noise, term.off)
     return acoustics, noise
@@ -225,8 +209,6 @@ class Price:
 def differs(full, reduced) -> tuple[float, float]:
     """Return Σ|with − without| / Σ with, and the largest |with − without| over the strongest bin; 0 of no echo.
 
-    Parameters
-    ----------
     full, reduced : (B, K) intensities with a term and without it
 
     >>> differs(np.array([[4.0, 1.0]]), np.array([[3.0, 2.0]]))
@@ -245,8 +227,6 @@ def changed_bins(full, reduced, counts: Counts) -> float:
     A bin is displayed if the device shows it brighter than black, see `Counts.least_shown`, in either image, each with
     the gain that the image has.
 
-    Parameters
-    ----------
     full, reduced : (B, K) intensities with a term and without it
     counts : of the device
 
@@ -288,23 +268,15 @@ class _Change(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Case:
-    """What terms are judged by.
+    """What terms are judged by."""
 
-    Attributes
-    ----------
-    scene : Scene, or a Simulator whose world is shared
-    sonar : Sonar
-    acoustics, noise : Acoustics and Noise with every term on
-    poses : (4, 4) world_from_sonar, MAX_POSES at most
-    tolerance : how much the image may change
-    """
-
-    scene: Scene | Simulator
+    scene: Scene | Simulator  # or a Simulator whose world is shared
     sonar: Sonar
+    # acoustics, noise: Acoustics and Noise with every term on
     acoustics: Acoustics
     noise: Noise
-    poses: list[np.ndarray]
-    tolerance: float
+    poses: list[np.ndarray]  # (4, 4) world_from_sonar, MAX_POSES at most
+    tolerance: float  # how much the image may change
 
 
 def _make_case(scene, sonar, tolerance, poses, acoustics, noise=None) -> _Case:
@@ -332,8 +304,6 @@ class _Comparison:
     They are those that the tolerance takes with every term on: coarser ones would leave out planar reflectors that few
     of them meet, and find multipath weaker than it is.
 
-    Parameters
-    ----------
     stack : closes the simulators
     case : _Case
     before_ping : function called before the samples are planned, and before each ping; what it raises ends the work
