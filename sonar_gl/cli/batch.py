@@ -83,7 +83,6 @@ class Lines:
             self._last = line
 
     def flush(self) -> None:
-        """Flush the stream."""
         self._stream.flush()
 
 
@@ -97,7 +96,6 @@ def _progress(n_pings: int, n_done: int):
 
 
 def _show_outcome(outcome, url: str, job_file: str) -> int:
-    """Print the state of a batch, and return the exit status."""
     text = f"{url}: {outcome.n_made} of {outcome.n_pings} pings"
     if outcome.without_echo:
         text += f", {outcome.without_echo} of them without an echo"
@@ -110,7 +108,6 @@ def _show_outcome(outcome, url: str, job_file: str) -> int:
 
 
 def _show_faults(url: str, faults: list[str]) -> int:
-    """Print the damage that was found, and return the exit status."""
     for line in faults:
         echo(line)
     counted = "1 file is" if len(faults) == 1 else f"{len(faults)} files are"

@@ -9,6 +9,5 @@ from sonar_gl.ping import Ping
 
 
 def encode_layers(ping: Ping) -> None:
-    """Encode the labels of a ping, as a batch does."""
     for layer in bin_layers(("class", "elevation", "range", "share"), ping.sonar, ping.acoustics, 8, 9, 9):
         layer.encode(ping, np.zeros(9, np.uint8), 0)

@@ -96,7 +96,6 @@ def acoustics_from(options, profile: str) -> Acoustics | None:
 
 
 def water_from(options) -> Water:
-    """Return the water of --water."""
     if options.water is None:
         return DEFAULT_WATER
     try:
@@ -128,7 +127,6 @@ def warn_of_hull(scene: Scene) -> None:
 
 
 def _parse_pose(text: str) -> np.ndarray:
-    """Return the (4, 4) pose in the text of --pose."""
     must = "--pose must be 6 numbers, 'x y z roll pitch yaw'"
     try:
         values = [float(word) for word in text.replace(",", " ").split()]
@@ -141,7 +139,6 @@ def _parse_pose(text: str) -> np.ndarray:
 
 
 def check_duration(options) -> None:
-    """Raise an Error unless --duration is a time, or left out."""
     if options.duration is not None:
         check_number("--duration", options.duration, 0.0, 1e9, "seconds")
 

@@ -72,13 +72,7 @@ class Compilation(NamedTuple):
 
 
 class _Counter(event.Listener):
-    """Counts compilations, and reports the number every few seconds.
-
-    Parameters
-    ----------
-    report : as for `compile_everything`
-    at_first : called before the first function is compiled
-    """
+    """Counts compilations, calls `at_first` at the first, and reports the number every few seconds."""
 
     def __init__(self, report: Callable[[str], None] | None, at_first: Callable[[], None]):
         self.names, self._report, self._at_first = set(), report, at_first
@@ -148,24 +142,16 @@ class _SecondProcess:
         return set() if self._process is None else set(self._process.communicate()[0].split())
 
     def stop(self) -> None:
-        """End it, if it still runs."""
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
             self._process.wait()
 
 
 def compile_everything(report: Callable[[str], None] | None = None, processes: int = 2) -> Compilation:
-    """Compile every compiled function of the package, or read its machine code from disk.
+    """Compile every compiled function of the package, or read its machine code from disk; Error without OpenGL.
 
-    Parameters
-    ----------
     report : called with a line of text every few seconds while functions are compiled
     processes : 1 or 2
-
-    Raises
-    ------
-    Error
-        if there is no usable OpenGL.
     """
     announce_compilation(False)  # the report says more
     second, start = _SecondProcess(), time.perf_counter()

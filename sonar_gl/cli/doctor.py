@@ -133,7 +133,6 @@ def write_report(path: Path, found: list[Finding]) -> None:
 
 
 def check_package(module: str, name: str) -> Finding:
-    """Check that a package can be imported."""
     try:
         loaded = importlib.import_module(module)
     except Exception as why:  # a missing system library raises one of several kinds
@@ -151,7 +150,6 @@ def check_embreex():
 
 
 def check_shaders():
-    """Check that the shader files are installed."""
     folder = data_folder("shaders")
     count = sum(path.suffix in (".vert", ".geom", ".frag", ".glsl") for path in folder.iterdir())
     return count > 0, f"{count} in {folder}", INSTALL_AGAIN

@@ -50,14 +50,10 @@ EXTENSIONS = (
 
 
 class SampleNoise(NamedTuple):
-    """Deviations of a plane's samples from the plane, in units of 2^-24 of 1/x; the greatest of each.
+    """Deviations of a plane's samples from the plane, in units of 2^-24 of 1/x; the greatest of each."""
 
-    depth : of 1/x
-    slopes : of its slopes, over the spacing of the samples
-    """
-
-    depth: float
-    slopes: float
+    depth: float  # of 1/x
+    slopes: float  # of its slopes, over the spacing of the samples
 
 
 def sample_noise() -> SampleNoise:
@@ -103,7 +99,6 @@ def engine_facts() -> dict:
 
 
 def scene_times() -> dict:
-    """Return milliseconds, samples and echo of the bundled scenes."""
     out = {}
     for name in bundled_scenes():
         scene = load_scene(name)

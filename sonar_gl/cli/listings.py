@@ -24,7 +24,6 @@ Height: rms height of the roughness, which divides |R|^2 at 900 kHz; rough mater
 
 
 def scenes_text() -> str:
-    """Return the bundled scenes with their descriptions."""
     formatter = click.HelpFormatter(max_width=100)
     formatter.write_dl([(name, scene_description(path)) for name, path in bundled_scenes().items()])
     return formatter.getvalue().rstrip("\n")
@@ -55,10 +54,7 @@ def named_sonar_text(what: str) -> str:
 def scene_sonar_text(scene_name: str, options) -> str:
     """Return the content of a file that describes the sonar of a scene's sensor, and says what was assumed.
 
-    Raises
-    ------
-    Error
-        if the tags of the sensor at the scene's sonar describe none.
+    Raises Error if the tags of the sensor at the scene's sonar describe none.
     """
     scene = load_scene(scene_name, options.resource_path, options.skip_missing)
     if scene.sonar is None:

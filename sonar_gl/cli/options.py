@@ -86,7 +86,6 @@ def option(name: str, **settings):
 
 @contextmanager
 def _variable(name: str, value: str):
-    """Set an environment variable inside the block."""
     before = os.environ.get(name)
     os.environ[name] = value
     try:

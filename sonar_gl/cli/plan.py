@@ -100,7 +100,6 @@ def plan_facts(plan: Plan, tolerance: float, scene: Scene) -> dict:
 
 
 def plan_text(found: dict) -> str:
-    """Return what `compare_plans` found in words."""
     columns, rows, _ = found["sampling"].values()
     met = "can be met" if found["met"] else f"can NOT be met: {CURE}"
     lines = [("poses", str(found["poses"]))] if found["poses"] > 1 else []
@@ -153,7 +152,6 @@ def _plans_text(found: dict) -> str:
 
 
 def _terms_text(terms: list[dict]) -> str:
-    """Return the table of what each term is worth."""
     rows = [
         (
             term["name"],

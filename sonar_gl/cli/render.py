@@ -57,12 +57,7 @@ CLEARLY_BRIGHT_SHARE = 1 / 3  # of full scale: an echo as bright as this is easy
 
 
 def render(scene_name: str, options, given: set[str]) -> str:
-    """Write the files that the options name, and return a line about them.
-
-    Parameters
-    ----------
-    given : names of the options on the command line
-    """
+    """Write the files that the options name, of which `given` are on the command line; return a line about them."""
     _check_combination(options, given)
     check_output(options)
     load_numba()
@@ -161,7 +156,6 @@ class BackgroundCalls:
         self._threads, self._under_way = ThreadPoolExecutor(WRITERS, "writer"), deque()
 
     def start(self, function, *arguments):
-        """Call a function in one of the threads."""
         while len(self._under_way) > WRITERS or (self._under_way and self._under_way[0].done()):
             self._under_way.popleft().result()
         self._under_way.append(self._threads.submit(function, *arguments))
@@ -178,40 +172,28 @@ class BackgroundCalls:
 
 
 class Echo(NamedTuple):
-    """The strongest echo of a ping: whether it is above the noise, its intensity, what and where it is, and the ping.
-
-    Where no echo is above the noise, the intensity is that of the noise.
-    """
+    """The strongest echo of a ping."""
 
     is_above_noise: bool
-    intensity: float
-    text: str
-    number: int
+    intensity: float  # of the noise, where no echo is above it
+    text: str  # what and where it is
+    number: int  # of the ping
 
 
 @dataclass
 class FrameWriter:
-    """Writes pings of one simulator into a folder, which must exist.
-
-    Parameters
-    ----------
-    style : FanStyle or DemarcoStyle
-    formats : which of png, npz, gif and mp4
-    noise, seed, labels, label_level_db : as for `Simulator.ping`
-    fps : frames per second of gif and mp4
-    progress : function (range) -> context manager that yields it, such as click.progressbar
-    """
+    """Writes pings of one simulator into a folder, which must exist."""
 
     simulator: Simulator
     style: FanStyle | DemarcoStyle
     folder: Path
-    formats: tuple[str, ...]
-    noise: Noise
+    formats: tuple[str, ...]  # which of png, npz, gif and mp4
+    noise: Noise  # as for `Simulator.ping`, and so the next three
     seed: int = 0
     labels: bool = False
     label_level_db: float | None = None
-    fps: float = 10.0
-    progress: Callable = nullcontext
+    fps: float = 10.0  # of gif and mp4
+    progress: Callable = nullcontext  # (range) -> context manager that yields it, such as click.progressbar
 
     def __post_init__(self):
         self._strongest, self._bright_share, self._times_ms = None, None, []
@@ -220,15 +202,10 @@ class FrameWriter:
     def write(self, poses, times_s=None) -> str:
         """Write all files, and return one line about them and the strongest echo.
 
-        Parameters
-        ----------
+        KeyboardInterrupt of Ctrl-C gets a sentence about the files if there are any.
+
         poses : (N, 4, 4) world_from_sonar
         times_s : (N,) seconds, for a sequence, whose files are numbered; None for one ping
-
-        Raises
-        ------
-        KeyboardInterrupt
-            of Ctrl-C, with a sentence about the files if there are any.
         """
         try:
             return self._write(poses, times_s)
@@ -236,7 +213,6 @@ class FrameWriter:
             raise KeyboardInterrupt(*[FILES_ARE_COMPLETE] * self._has_files) from None
 
     def _write(self, poses, times_s) -> str:
-        """Do the work of `write`."""
         self._check_ping_rate(times_s)
         name, last = self.simulator.scene.name, len(poses) - 1
         width = max(4, len(str(last)))
@@ -330,7 +306,6 @@ class FrameWriter:
         return self.style(ping)
 
     def _note(self, ping: Ping, number: int):
-        """Remember the strongest echo of all pings."""
         found = self._strongest_echo(ping, number)
         if self._strongest is None or found[:2] > self._strongest[:2]:
             self._strongest = found

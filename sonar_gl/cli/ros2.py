@@ -36,10 +36,7 @@ CLOCK_REPORT_S = 10.0  # of real time, between lines of the log where none comes
 
 
 def ros2(scene_name: str, options, given: set[str]) -> str:
-    """Publish until it is stopped; return a line about what was sent.
-
-    given : names of the options that the command line names
-    """
+    """Publish until it is stopped; return a line about what was sent. `given` are the options of the command line."""
     load_numba()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     file = Ros2File()
@@ -100,7 +97,6 @@ def _with_file(options, given: set[str], file: Ros2File) -> SimpleNamespace:
 
 
 def _settings(options, file: Ros2File) -> PublisherSettings:
-    """Return the settings of a command line and its file."""
     topics = {kind: name or None for kind in TOPICS if (name := getattr(file.topics, kind)) is not None}
     if options.topics is not None:
         wanted = options.topics.replace(",", " ").split()

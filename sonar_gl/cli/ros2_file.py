@@ -74,13 +74,9 @@ class FoxgloveTable(Table):
 
 
 class Ros2File(Table):
-    """What a file holds. Options that it does not name have the command's defaults.
+    """What a file holds: options of the command, fields of `PublisherSettings`, and tables.
 
-    Attributes
-    ----------
-    sonar, ... bodies_from : options of the command, by their names
-    world_frame, vehicle_frame, mount, y_sign : as for `PublisherSettings`
-    topics, image, points, zenoh, dds, foxglove : tables
+    Options that it does not name have the command's defaults.
     """
 
     sonar: str = None
@@ -125,10 +121,7 @@ OPTIONS = tuple(Ros2File.model_fields)[: list(Ros2File.model_fields).index("doma
 def read_ros2_file(path) -> Ros2File:
     """Read the settings of a TOML file; the files that it names may lie beside it.
 
-    Raises
-    ------
-    Error
-        if the file cannot be read or is invalid; names file, table and key of every fault.
+    Raises Error if the file cannot be read or is invalid; names file, table and key of every fault.
     """
     path = Path(path)
     data = read_toml(path, "the file of --config")

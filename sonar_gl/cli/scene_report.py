@@ -46,8 +46,6 @@ def scene_report(scene_name: str, options) -> str:
 def report_text(scene: Scene, messages: Iterable[str] = (), note: str = "") -> str:
     """Return what a scene holds, in words and tables.
 
-    Parameters
-    ----------
     messages : warnings of its reader, in order
     note : what the bodies are, or how they were turned
     """

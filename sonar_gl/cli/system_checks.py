@@ -45,7 +45,6 @@ def check_pyrender():
 
 
 def check_scenes():
-    """Check that the bundled scenes are installed."""
     count = len(bundled_scenes())
     return count > 0, f"{count} in {data_folder('scenes')}", "install sonar_gl again"
 
@@ -74,7 +73,6 @@ def check_egl():
 
 
 def check_opengl():
-    """Check that an OpenGL context can be created, and describe it."""
     try:
         context = gl.create_context()
     except Error as why:
@@ -96,7 +94,6 @@ def check_opengl():
 
 
 def check_raster_engine():
-    """Name the engine that draws pings."""
     sonar = Sonar("doctor", 900e3, 16, 100, 10.0, 4.0, 0.625, 0.55, 10.55)
     with Simulator(Scene([]), sonar, Acoustics.ideal(), Sampling(1, 8)) as simulator:
         info = simulator.gl_info

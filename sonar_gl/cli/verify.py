@@ -128,7 +128,6 @@ def _findings(result: Verification, picture: str) -> dict:
 
 
 def verify_text(found: dict) -> str:
-    """Return the findings of `verify` in words."""
     sampling = ", ".join(
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in found["sampling"].items()

@@ -49,7 +49,6 @@ def view(scene_name: str, options) -> None:
 
 
 def session_from(scene_name: str, options) -> LiveSession:
-    """Return the session of a command line."""
     acoustics, noise = acoustics_from(options, options.profile), Noise.parse(options.noise)
     scene = scene_from(scene_name, options)
     times_s, poses = poses_from(options, scene)

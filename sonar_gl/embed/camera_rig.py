@@ -31,24 +31,11 @@ MIN_COVERED_FRACTION = 0.999
 
 
 class CameraRig:
-    """A set of cameras with the arrays that every ping of their images reuses.
+    """A set of cameras with the arrays that every ping of their images reuses; Error if they see nothing of the fan.
 
-    Parameters
-    ----------
     sampling : None chooses samples as fine as the pixels
     make_stage : function (sampling) -> Stage of the sonar
-    thread : does half of the work
     are_cones : whether beams are cones
-
-    Attributes
-    ----------
-    stage : Stage
-    warning : None, or a sentence about the part of the fan that no camera sees
-
-    Raises
-    ------
-    Error
-        if the cameras see nothing of the fan.
     """
 
     def __init__(
@@ -76,7 +63,7 @@ class CameraRig:
         )
         if covered == 0:
             raise Error(f"the cameras must look into the sonar's fan (they see nothing of it; {needed})")
-        self.warning = None
+        self.warning = None  # or a sentence about the part of the fan that no camera sees
         if covered < MIN_COVERED_FRACTION:
             finding = f"the cameras see {100 * covered:.1f} % of the sonar's fan"
             self.warning = f"{finding}, and the rest returns no echo: {needed}"

@@ -29,29 +29,18 @@ NO_NORMALS, NO_BODIES = np.empty((0, 0, 0), np.float32), np.empty((0, 0), np.uin
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """The checked depth image of one camera.
+    """The checked depth image of one camera."""
 
-    Attributes
-    ----------
-    depth : (H, W) float32, metres
-    normals : (H, W, 3) float32, or an empty array
-    body_id : (H, W) uint16, or an empty array
-    reflectivity : μ, a scalar or (H, W) float32
-    """
-
-    depth: np.ndarray
-    normals: np.ndarray
-    body_id: np.ndarray
-    reflectivity: np.ndarray
+    depth: np.ndarray  # (H, W) float32, metres
+    normals: np.ndarray  # (H, W, 3) float32, or an empty array
+    body_id: np.ndarray  # (H, W) uint16, or an empty array
+    reflectivity: np.ndarray  # μ, a scalar or (H, W) float32
 
 
 def check_images(camera, depth, normals, body_id, reflectivity) -> tuple[list[Camera], list[DepthImage]]:
-    """Return the cameras and their checked images; the arguments are those of `Sensor.ping_from_depth`.
+    """Return the cameras and their checked images; raise Error if one does not fit its camera.
 
-    Raises
-    ------
-    Error
-        if an image does not fit its camera.
+    The arguments are those of `Sensor.ping_from_depth`.
     """
     several = isinstance(camera, (list, tuple))
     cameras = list(camera) if several else [camera]
@@ -72,7 +61,6 @@ def check_images(camera, depth, normals, body_id, reflectivity) -> tuple[list[Ca
 
 
 def _one_per_camera(name: str, value, n: int, several: bool) -> list:
-    """Return a list with the argument of each camera."""
     if value is None or not several:
         return [value] * n
     if not isinstance(value, (list, tuple)) or len(value) != n:
@@ -151,7 +139,6 @@ def _pixel_reflectivity(value, body_id, depth: np.ndarray) -> np.ndarray:
 
 
 def _check_reflectivity(value) -> np.ndarray:
-    """Return values of 0..1 as float32."""
     try:
         out = np.asarray(value, np.float32)
     except (TypeError, ValueError):
@@ -167,7 +154,6 @@ def _check_reflectivity(value) -> np.ndarray:
 
 
 def check_body_names(bodies) -> list[str]:
-    """Return the names of bodies, that of number 1 first."""
     if not is_iterable(bodies) or isinstance(bodies, str):
         raise Error(f"bodies must be a list of names, that of number 1 first (got {type(bodies).__name__})")
     bodies = list(bodies)

@@ -38,17 +38,12 @@ MISTAKES = {
 
 
 class Framebuffer:
-    """A framebuffer for the samples of one sector in a host's context, created at the first `bind`.
-
-    Attributes
-    ----------
-    is_being_drawn : whether the host is drawing into it
-    is_released : whether it was released, or is queued for release
-    """
+    """A framebuffer for the samples of one sector in a host's context, created at the first `bind`."""
 
     def __init__(self, host: HostContext, sector: Sector):
         self.host, self.sector, self._name, self._buffers = host, sector, None, None
-        self.is_being_drawn = self.is_released = False
+        self.is_being_drawn = False  # by the host
+        self.is_released = False  # or queued for release
 
     def bind(self):
         """Bind and clear the framebuffer, set the viewport, and enable the depth test."""
@@ -64,7 +59,6 @@ class Framebuffer:
         gl.glEnable(DEPTH_TEST)
 
     def is_bound(self) -> bool:
-        """Return whether this is the current draw framebuffer."""
         return self.host.gl.integer(DRAW_FRAMEBUFFER_BINDING) == self._name
 
     def _make(self, gl):
@@ -93,16 +87,8 @@ class Framebuffer:
     def read(self):
         """Read the samples that the host drew; another framebuffer may be bound.
 
-        Returns
-        -------
-        plane_echo : (R, C, 4) float32
-        body_id : (R, C) uint16
-
-        Raises
-        ------
-        Error
-            if the framebuffer was deleted, a value or a normal is not finite, or a reflectivity or a lobe is out of
-            bounds.
+        Returns plane_echo, (R, C, 4) float32, and body_id, (R, C) uint16. Raises Error if the framebuffer was deleted,
+        a value or a normal is not finite, or a reflectivity or a lobe is out of bounds.
         """
         gl, size = self.host.gl, (0, 0, self.sector.columns, self.sector.rows)
         plane_echo = np.zeros((self.sector.rows, self.sector.columns, 4), np.float32)

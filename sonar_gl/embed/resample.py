@@ -112,28 +112,17 @@ def _find_planes(start, stop, inverse, normals, K, K_inverse, planes):
 
 
 class PixelImage(NamedTuple):
-    """What each pixel of a camera shows.
+    """What each pixel of a camera shows."""
 
-    Attributes
-    ----------
-    planes : (H, W, 4) float32, filled by `_find_planes`
-    body_id : (H, W) uint16, or an empty array
-    """
-
-    planes: np.ndarray
-    body_id: np.ndarray
+    planes: np.ndarray  # (H, W, 4) float32, filled by `_find_planes`
+    body_id: np.ndarray  # (H, W) uint16, or an empty array
 
 
 class Rays(NamedTuple):
-    """The rays of a sector, and how they project onto an image.
+    """The rays of a sector, and how they project onto an image."""
 
-    Attributes
-    ----------
-    homography : (3, 3) K camera_from_sector
-    u, v : (3,) lattice of the sector
-    """
-
-    homography: np.ndarray
+    homography: np.ndarray  # (3, 3) K camera_from_sector
+    # u, v: (3,) lattice of the sector
     u: np.ndarray
     v: np.ndarray
 
@@ -192,23 +181,17 @@ def _sample(start, stop, image, rays, overwrite, include_border, plane_echo, bod
 
 
 class PixelPlanes:
-    """The planes seen by a camera's pixels, in arrays that the next image reuses.
-
-    Attributes
-    ----------
-    planes : (H, W, 4) float32, filled by `_find_planes`, the last component times reflectivity
-    """
+    """The planes seen by a camera's pixels, in arrays that the next image reuses."""
 
     def __init__(self, camera: Camera, thread: SecondThread):
         self._camera, self._thread = camera, thread
         self._inverse = np.zeros((camera.height, camera.width), np.float32)
+        # filled by `_find_planes`, the last component times reflectivity
         self.planes = np.zeros((camera.height, camera.width, 4), np.float32)
 
     def find(self, depth, planar: bool, normals, reflectivity) -> None:
         """Fill `planes` from one image.
 
-        Parameters
-        ----------
         depth : (H, W) float32, metres; a pixel is empty where it is not a number above 0
         planar : whether depth is measured along the camera's axis; otherwise along the pixel's ray
         normals : (H, W, 3) float32, normals of the faces, on either side, camera axes, or an empty array. Without
@@ -224,8 +207,6 @@ class PixelPlanes:
     def sample(self, samples: SectorSamples, pixel_body, overwrite: bool, include_border: bool) -> int:
         """Fill the samples of a sector from this image; return how many of its rays hit the image.
 
-        Parameters
-        ----------
         samples : SectorSamples, whose arrays are written to
         pixel_body : (H, W) uint16, the body of each pixel, or an empty array
         overwrite : fill all samples; otherwise only those that are `UNSEEN`

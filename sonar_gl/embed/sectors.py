@@ -85,14 +85,7 @@ class DrawnSector:
 
 
 class Drawing:
-    """The framebuffers of a fan's sectors in a host's context, and the sectors of the current pose.
-
-    Attributes
-    ----------
-    stage : Stage of the sectors
-    near_m : near plane of the projections, metres
-    framebuffers : list of Framebuffer, one per sector
-    """
+    """The framebuffers of a fan's sectors in a host's context, and the sectors of the current pose."""
 
     def __init__(self, host: HostContext, stage: Stage, near_m: float):
         sonar, sectors = stage.fan.sonar, stage.fan.sectors
@@ -141,5 +134,4 @@ class Drawing:
         return "gl_Position must be projection * view * position, with both matrices transposed for OpenGL"
 
     def is_being_drawn(self) -> bool:
-        """Return whether the host is inside the block of a sector."""
         return any(framebuffer.is_being_drawn for framebuffer in self.framebuffers)

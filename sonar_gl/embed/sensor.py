@@ -60,18 +60,11 @@ MAX_RIGS = 4
 
 
 class DepthKind(NamedTuple):
-    """What the depths of images are.
+    """What the depths of images are."""
 
-    Attributes
-    ----------
-    planar : whether they lie along the camera's axis; otherwise along each ray
-    advice : what to check if a ping has no echo
-    may_be_z_buffer : whether a caller may have taken a z-buffer for metres
-    """
-
-    planar: bool
-    advice: str
-    may_be_z_buffer: bool = True
+    planar: bool  # whether they lie along the camera's axis; otherwise along each ray
+    advice: str  # what to check if a ping has no echo
+    may_be_z_buffer: bool = True  # whether a caller may have taken a z-buffer for metres
 
 
 IMAGES_ADVICE = "depth must be metres ahead of the camera, above 0: OpenGL's z is minus that"
@@ -289,7 +282,6 @@ class Sensor:
         return fitted_sampling(self.sonar, asked, beam_shape(self.sonar, self.acoustics))
 
     def _stage(self, sampling: Sampling) -> Stage:
-        """Return the sonar's stage of this sampling."""
         # hosts draw as far up and down as the main lobe receives
         beamformer = make_beamformer(self.sonar, self.acoustics, sampling, self._thread, side_lobes=False)
         return Stage(sampling, beamformer)
@@ -312,7 +304,6 @@ class Sensor:
     def _ping_of_images(
         self, request: PingRequest, cameras, images, kind: DepthKind, origin: SampleOrigin
     ) -> Ping:
-        """Return the ping of checked images."""
         self._check_open()
         with self._pinging():
             rig = self._find_rig(cameras, images, kind)

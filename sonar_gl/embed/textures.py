@@ -34,22 +34,15 @@ OPTICAL_SIGNS = np.float32([1, -1, -1])  # optical axes from OpenGL's: y and z c
 
 
 class TextureFormat(NamedTuple):
-    """The contents that a texture must have, and the format in which it is read.
+    """The contents that a texture must have, and the format in which it is read."""
 
-    Attributes
-    ----------
-    description : contents, for error messages
-    type_query : GL parameter that returns the type of the channel that matters
-    types : accepted GL types of that channel
-    pixel_format, pixel_type : arguments of glGetTexImage
-    dtype, components : of the array that is read
-    """
-
-    description: str
-    type_query: int
-    types: tuple
+    description: str  # contents, for error messages
+    type_query: int  # GL parameter that returns the type of the channel that matters
+    types: tuple  # accepted GL types of that channel
+    # pixel_format, pixel_type: arguments of glGetTexImage
     pixel_format: int
     pixel_type: int
+    # dtype, components: of the array that is read
     dtype: type
     components: int = 1
 
@@ -110,21 +103,10 @@ def read_images(host: HostContext, depth, projection, holds, zero_to_one, rotati
 
 
 def read_textures(host: HostContext, requests) -> list:
-    """Return textures as arrays, first row on top.
+    """Return textures as (H, W) arrays, (H, W, 4) for normals, first row on top; raise Error if one has another type.
 
-    Parameters
-    ----------
     requests : (GL name, key of FORMATS, name of the argument for error messages) of each texture. A GL name of None
         gives None, except for depth
-
-    Returns
-    -------
-    list of (H, W) arrays; (H, W, 4) for normals
-
-    Raises
-    ------
-    Error
-        if a name is not that of a 2D texture, or its contents have another type.
     """
     gl, out = host.gl, []
     with host:

@@ -35,18 +35,11 @@ SOFTWARE = re.compile(r"llvmpipe|softpipe|swrast|swiftshader|software", re.IGNOR
 
 
 class Device(NamedTuple):
-    """An EGL device.
+    """An EGL device."""
 
-    Attributes
-    ----------
-    index : EGL's index of the device
-    name : the renderer's name, or EGL's name for the device if it has no OpenGL
-    trouble : why the device has no usable OpenGL; '' if it has
-    """
-
-    index: int
-    name: str
-    trouble: str = ""
+    index: int  # EGL's index of the device
+    name: str  # the renderer's name, or EGL's name for the device if it has no OpenGL
+    trouble: str = ""  # why the device has no usable OpenGL; '' if it has
 
     def __str__(self):
         return f"{self.index} {self.name}" + (f" (not to be used: {self.trouble})" if self.trouble else "")
@@ -55,10 +48,7 @@ class Device(NamedTuple):
 def egl_devices() -> list[str] | None:
     """Return EGL's names for its devices, by index, '' for those without; None if EGL cannot list devices.
 
-    Raises
-    ------
-    OSError
-        if EGL is not installed.
+    Raises OSError if EGL is not installed.
     """
     library = ctypes.CDLL(LIBRARIES["libegl"])
     library.eglGetProcAddress.restype = ctypes.c_void_p
@@ -106,14 +96,7 @@ def devices() -> list[Device]:
 def chosen_device(device: int | None = None) -> tuple[int | None, str]:
     """Return the index of the device to use, or None for EGL's first, and the index with what chose it, or ''.
 
-    Parameters
-    ----------
-    device : index; None takes the first of DEVICE_VARIABLES that is set
-
-    Raises
-    ------
-    Error
-        if the index is not a whole number of 0 or more.
+    device : index; None takes the first of DEVICE_VARIABLES that is set. Error unless it is a whole number of 0 or more
     """
     if device is not None:
         if not (is_whole_number(device) and device >= 0):
@@ -153,8 +136,6 @@ def _preserve_default_context():
 def make_context(loader) -> moderngl.Context:
     """Return a moderngl context for an OpenGL context that exists.
 
-    Parameters
-    ----------
     loader : EglContext or HostContext; it becomes the context's `extra`, and a `with context` block enters it
     """
     with loader, _preserve_default_context():
@@ -191,15 +172,10 @@ def egl_context(index: int | None) -> moderngl.Context:
 def create_context(device: int | None = None) -> moderngl.Context:
     """Return a headless context of OpenGL 3.3 core or newer, current in this thread.
 
-    Parameters
-    ----------
+    Raises Error if there is no EGL or no such device, or the driver is too old.
+
     device : index of an EGL device, as `devices` lists them; None takes the one in the environment variable
         SONAR_GL_DEVICE, or else the first
-
-    Raises
-    ------
-    Error
-        if there is no EGL or no such device, or the driver is too old.
     """
     release_waiting()
     index, setting = chosen_device(device)
@@ -243,7 +219,6 @@ def hardware_context() -> moderngl.Context | None:
 
 
 def too_old_message(got: str) -> str:
-    """Return the error message for a driver below OpenGL 3.3."""
     return f"OpenGL must be 3.3 or newer (got {got}); update the driver, or ask for the engine 'cpu', which needs none"
 
 

@@ -144,22 +144,16 @@ class EglContext:
     moderngl takes it for a window system: it needs `load_opengl_function`, `release` and the `with` block. The garbage
     collector is paused inside the block.
 
-    Parameters
-    ----------
-    binding : Binding of the context, which is current now
+    binding : of the context, which is current now
     destroy : function that destroys the context
-
-    Attributes
-    ----------
-    gl : Functions
-    is_gone : whether a `with` block has found that the context was destroyed by others
     """
 
     def __init__(self, binding: Binding, destroy):
         egl = self._egl = library()
         self.load_opengl_function = lambda name: one_object(egl.eglGetProcAddress(name.encode()) or 0)
         self.binding, self.destroy = binding, destroy
-        self._before, self.is_gone = [], False
+        self._before = []
+        self.is_gone = False  # whether a `with` block has found that the context was destroyed by others
         self.gl, self._found = Functions(self.load_opengl_function), ctypes.c_uint()
         # A random mark tells this context from a later one at the same address.
         self.gl.glSampleMaski(0, secrets.randbelow(NO_MARK))
@@ -208,6 +202,5 @@ class EglContext:
             return False
 
     def release(self):
-        """Destroy the context, unless it is gone."""
         if not self.is_gone:
             self.destroy()

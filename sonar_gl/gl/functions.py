@@ -120,8 +120,6 @@ def one_object(address: int) -> int:
 class Functions:
     """OpenGL's functions by name, each looked up when it is first called.
 
-    Parameters
-    ----------
     address_of : function (name) -> address of an OpenGL function, 0 if the driver has none
     """
 
@@ -160,7 +158,6 @@ class Functions:
         return out
 
     def take_errors(self) -> list[int]:
-        """Return the pending errors, and clear them."""
         out = []
         while len(out) < 8 and (error := self.glGetError()):  # a lost context reports errors without end
             out.append(error)

@@ -75,19 +75,14 @@ def check_thread(thread) -> None:
 class CurrentContext:
     """The OpenGL context that is current in this thread when this object is made; another program made it.
 
+    Raises Error if no context is current, or it is older than OpenGL 3.3, or it is one of OpenGL ES.
+
     Attributes
     ----------
     by_egl : whether it is an EGL context; else it is one of GLX
     handle : address of the EGLContext or GLXContext
-    thread : threading.Thread, where it is current
-    gl : Functions
+    thread : where it is current
     address_of : function (name) -> address of an OpenGL function, or 0
-    renderer : GL_RENDERER, the driver's name for the device
-
-    Raises
-    ------
-    Error
-        if no context is current, or it is older than OpenGL 3.3, or it is one of OpenGL ES.
     """
 
     def __init__(self):
@@ -128,16 +123,11 @@ class HostContext:
 
     moderngl takes it for a window system: it needs `load_opengl_function`, `release` and the `with` block.
 
-    Attributes
-    ----------
-    current : CurrentContext
-    gl, renderer : as those of `CurrentContext`
-    guard : StateGuard
-    is_gone : whether a check has found that the context was destroyed
     """
 
     def __init__(self, current: CurrentContext):
-        self.current, self.is_gone = current, False
+        self.current = current
+        self.is_gone = False  # whether a check has found that the context was destroyed
         self.load_opengl_function = lambda name: one_object(current.address_of(name))
         self.gl, self.renderer, self.guard = current.gl, current.renderer, StateGuard(current.gl)
         # A sampler with a random border colour tells this context from a later one at the same address.

@@ -28,14 +28,9 @@ IN_USE = "objects must not wait for their own release"
 
 
 class Releasable(Protocol):
-    """OpenGL objects that are released together.
+    """OpenGL objects that are released together."""
 
-    Attributes
-    ----------
-    is_gone : whether their context is known to have ended, and the objects with it
-    """
-
-    is_gone: bool
+    is_gone: bool  # whether their context is known to have ended, and the objects with it
 
     def is_in_reach(self) -> bool:
         """Return whether they can be released in this thread now."""
@@ -45,16 +40,10 @@ class Releasable(Protocol):
 
 
 class Waiting(NamedTuple):
-    """How many groups of objects wait to be released.
+    """How many groups of objects wait to be released."""
 
-    Attributes
-    ----------
-    discarded : left by finalisers, not tried yet
-    unreachable : tried, while their context was out of reach
-    """
-
-    discarded: int
-    unreachable: int
+    discarded: int  # left by finalisers, not tried yet
+    unreachable: int  # tried, while their context was out of reach
 
 
 class _ContextObjects:
@@ -114,7 +103,6 @@ class ReleaseQueue:
                 self._release_all()
 
     def waiting(self) -> Waiting:
-        """Return how much waits to be released."""
         return Waiting(len(self._discarded), len(self._unreachable))
 
     def forget(self) -> None:

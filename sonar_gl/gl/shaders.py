@@ -12,15 +12,7 @@ import moderngl
 def load_shader(name: str, folder: Path, defines: dict[str, int]) -> tuple[str, list[tuple[str, int]]]:
     """Read a shader file, insert the files that it includes, and put `#define`s after `#version`.
 
-    Parameters
-    ----------
-    name : of the file in `folder`
-    defines : names of macros to their values
-
-    Returns
-    -------
-    text : str, GLSL
-    lines : for each line of the text, the file and the line number that it comes from, for error messages
+    Returns the GLSL text, and for each of its lines the file and the number that it comes from, for error messages.
     """
     text, lines = [], []
 
@@ -49,10 +41,7 @@ STAGES = {".vert": "vertex_shader", ".geom": "geometry_shader", ".frag": "fragme
 def compile_program(context, folder: Path, names: Sequence[str], defines: dict[str, int]) -> moderngl.Program:
     """Compile a program from files of the shader folder, each of which is the stage that its suffix names.
 
-    Raises
-    ------
-    RuntimeError
-        if a shader does not compile; the message names file and line.
+    Raises RuntimeError, which names file and line, if a shader does not compile.
     """
     sources = {STAGES[Path(name).suffix]: load_shader(name, folder, defines) for name in names}
     try:

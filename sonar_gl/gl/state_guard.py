@@ -35,22 +35,14 @@ CORE_SINCE = {
 
 
 class Value(NamedTuple):
-    """A part of the state that has one value.
+    """A part of the state that has one value."""
 
-    Attributes
-    ----------
-    name : enum that `glGetIntegerv` takes
-    setter : function that sets it
-    target : the setter's arguments before the value
-    default : value inside the block; None leaves the host's, which does not affect drawing
-    extension : key of CORE_SINCE that it came with, "" for OpenGL 3.3
-    """
-
-    name: int
-    setter: str
-    target: tuple[int, ...] = ()
+    name: int  # enum that `glGetIntegerv` takes
+    setter: str  # function that sets it
+    target: tuple[int, ...] = ()  # the setter's arguments before the value
+    # value inside the block; None leaves the host's, which does not affect drawing
     default: int | None = None
-    extension: str = ""
+    extension: str = ""  # key of CORE_SINCE that it came with, "" for OpenGL 3.3
 
 
 class Switches(NamedTuple):
@@ -148,44 +140,28 @@ class Viewport(NamedTuple):
 
 
 class SavedState(NamedTuple):
-    """The state of a context.
+    """The state of a context."""
 
-    Attributes
-    ----------
-    values, switches : as the guard's tables
-    blend_enabled, color_masks : for each draw buffer
-    blend_functions : four functions and two equations, for each draw buffer if the driver has them so
-    viewports : Viewport of each
-    clip_control : origin and depth mode, or None
-    polygon_modes : of front and back, which differ in compatibility profiles only
-    pixel_transfers : as PIXEL_TRANSFERS, in compatibility profiles
-    """
-
+    # values, switches: as the guard's tables
     values: list[int]
     switches: list[bool]
+    # blend_enabled, color_masks: for each draw buffer
     blend_enabled: list[bool]
     color_masks: list[list[int]]
-    blend_functions: list
-    viewports: list[Viewport]
-    clip_control: list[int] | None
-    polygon_modes: list[int]
-    pixel_transfers: list[float]
+    blend_functions: list  # four functions and two equations, for each draw buffer if the driver has them so
+    viewports: list[Viewport]  # Viewport of each
+    clip_control: list[int] | None  # origin and depth mode, or None
+    polygon_modes: list[int]  # of front and back, which differ in compatibility profiles only
+    pixel_transfers: list[float]  # as PIXEL_TRANSFERS, in compatibility profiles
 
 
 class Block(NamedTuple):
-    """A `with` block that is under way: what it restores at its end.
+    """A `with` block that is under way: what it restores at its end."""
 
-    Attributes
-    ----------
-    errors : that are pending for the host
-    debug_output : whether the host's debug callback is on
-    state : None until it is read
-    clear_values : color and depth, read after the defaults are set, before which they would be clamped; None until then
-    """
-
-    errors: list[int]
-    debug_output: bool
-    state: SavedState | None = None
+    errors: list[int]  # that are pending for the host
+    debug_output: bool  # whether the host's debug callback is on
+    state: SavedState | None = None  # None until it is read
+    # color and depth, read after the defaults are set, before which they would be clamped; None until then
     clear_values: tuple[list[float], list[float]] | None = None
 
 
@@ -260,7 +236,6 @@ class StateGuard:
 
     @property
     def n_blocks(self) -> int:
-        """Number of blocks that are under way."""
         return len(self._blocks)
 
     def end_blocks(self, n_left: int) -> None:
