@@ -27,7 +27,7 @@ class SceneSource:
     """How a command line names a scene and the sonar that a session begins with."""
 
     name: str  # of a bundled scene, or a path
-    # as the options of `sonar-gl render`
+    # resource_paths, skip_missing, without, only, surface_z_m: as the options of `sonar-gl render`
     resource_paths: tuple[str, ...] = ()
     skip_missing: bool = False
     without: tuple[str, ...] = ()
@@ -38,7 +38,6 @@ class SceneSource:
     loaded: Sonar | None = None  # the Sonar that the text names
 
     def words(self) -> list[str]:
-        """Return the scene's part of a command line."""
         out = [self.name]
         for option, values in (
             ("--resource-path", self.resource_paths),

@@ -122,7 +122,6 @@ class LiveSonar:
         return self._place_notes
 
     def still(self, frame: LiveFrame) -> LiveFrame:
-        """Return a frame as `LiveSession.still` does."""
         settings, pose = frame.settings, make_pose(*rounded_pose_numbers(frame.pose))
         self._place(frame.bodies)  # the next ping puts them back
         with collected_warnings():
@@ -166,7 +165,6 @@ class LiveSonar:
         )
 
     def close(self) -> None:
-        """Give back all that it holds."""
         self._pool.close()
 
     def _simulator(self, settings: LiveSettings) -> Simulator:

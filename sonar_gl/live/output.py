@@ -63,7 +63,6 @@ class LiveOutput:
 
     @property
     def n_recorded(self) -> int:
-        """Number of pings of the last recording."""
         return 0 if self._recording is None else len(self._recording.files)
 
     @property

@@ -56,7 +56,6 @@ class PingThread:
 
     @property
     def listeners(self) -> list[Listener]:
-        """Those who listen now."""
         with self._changed:
             return list(self._listeners)
 
@@ -109,7 +108,6 @@ class PingThread:
                 self._listeners.remove(listener)
 
     def _serve(self) -> None:
-        """Ping and do jobs until the thread is closed."""
         due_s = 0.0
         try:
             while True:

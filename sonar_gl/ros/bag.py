@@ -157,8 +157,6 @@ def write_part(path, records: Iterable, settings: BagSettings) -> None:
 
 
 class _PartWriter:
-    """Writes records as messages into a file."""
-
     def __init__(self, file: BagFile, settings: BagSettings):
         self.file, self.settings, self.types = file, settings, file.types
         self.time_ns = -1  # of the last record
@@ -166,7 +164,6 @@ class _PartWriter:
         self._names = {WORLD: "of a frame", VEHICLE: "of a frame"}
 
     def add(self, record) -> None:
-        """Write the messages of a record."""
         time_ns = nanoseconds(record.time_s)
         if time_ns < self.time_ns:
             got = f"got {record.time_s:g} s after {self.time_ns / 1e9:g} s"
@@ -249,14 +246,13 @@ class BagContents:
     """The contents of an MCAP file."""
 
     name: str  # name of the file in its folder
-    # times of the first and the last message
+    # start_ns, end_ns: times of the first and the last message
     start_ns: int
     end_ns: int
     topics: dict[str, tuple[str, int]]  # topic -> type and number of its messages
 
     @property
     def count(self) -> int:
-        """Return the number of messages."""
         return sum(count for _, count in self.topics.values())
 
 
@@ -272,7 +268,6 @@ class BagFile:
         self._topics, self._channels, self._schemas = {}, {}, {}
 
     def put(self, time_ns: int, topic: str, message) -> None:
-        """Add a message."""
         msgtype = message.__msgtype__
         if topic not in self._channels:
             text, digest = self.types.schema(msgtype)
@@ -371,7 +366,6 @@ def _qos(topic: str) -> str:
 
 
 def _to_yaml(value) -> str:
-    """Return a value as YAML, keys in their order."""
     yaml = _libraries().yaml.YAML(typ="safe", pure=True)
     yaml.default_flow_style, yaml.sort_base_mapping_type_on_output, yaml.width = False, False, 1000
     text = io.StringIO()

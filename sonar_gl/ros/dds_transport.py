@@ -442,7 +442,6 @@ class _Receiver:
         return number
 
     def remove(self, number: int) -> None:
-        """Let a reader go, if it is there."""
         if number in self._readers:
             _, _, condition, _ = self._readers.pop(number)
             self._waiting.detach(condition)

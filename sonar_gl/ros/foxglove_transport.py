@@ -217,14 +217,12 @@ class _Listener:
         self._published = {}  # client and its number of a channel -> name and type of the topic
 
     def on_subscribe(self, client, channel) -> None:
-        """Have a viewer see the last message of a latched topic."""
         self._repeat(channel.topic)
 
     def on_unsubscribe(self, client, channel) -> None:
         """Do nothing."""
 
     def on_client_advertise(self, client, channel) -> None:
-        """Note the topic that a viewer is going to publish."""
         if channel.encoding == ENCODING:
             self._published[client.id, channel.id] = channel.topic, channel.schema_name
         else:
@@ -240,7 +238,6 @@ class _Listener:
         self._published.pop((client.id, client_channel_id), None)
 
     def on_message_data(self, client, client_channel_id: int, data: bytes) -> None:
-        """Pass a message on, unless it is in another encoding."""
         published = self._published.get((client.id, client_channel_id))
         if published is not None:
             self._read(*published, data)

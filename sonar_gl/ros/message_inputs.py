@@ -63,18 +63,15 @@ class RefusedMessages:
 
     @property
     def total(self) -> int:
-        """Number of all that was refused."""
         with self._lock:
             return sum(self._counts.values())
 
     def by_kind(self) -> dict[tuple[str, str], int]:
-        """Return the numbers by topic and kind."""
         with self._lock:
             return dict(self._counts)
 
 
 def _matrix(position, orientation) -> np.ndarray:
-    """Return the (4, 4) pose of a position and a quaternion."""
     place = position.x, position.y, position.z
     w, x, y, z = orientation.w, orientation.x, orientation.y, orientation.z
     if not all(map(math.isfinite, (*place, w, x, y, z))):
@@ -115,7 +112,6 @@ class PoseInput:
         self._latest = None
 
     def receive(self, data: bytes) -> None:
-        """Take a message."""
         with self._refused.counting(self._topic):
             message = message_types().decode(bytes(data), self._msgtype)
             _check_world(message.header.frame_id, self._world)
@@ -229,7 +225,6 @@ class ClockInput:
         self._time_ns, self._news = None, threading.Condition()
 
     def receive(self, data: bytes) -> None:
-        """Take a message."""
         with self._refused.counting(self._topic):
             clock = message_types().decode(bytes(data), "rosgraph_msgs/msg/Clock").clock
             if not (0 <= clock.sec < MAX_TIME_S and 0 <= clock.nanosec < 10**9):

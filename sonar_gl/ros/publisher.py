@@ -204,7 +204,6 @@ class Publisher:
         return topics
 
     def _make_inputs(self, scene: Scene):
-        """Subscribe to what the settings follow."""
         settings, source, poses, bodies = self.settings, self.settings.pose_from, None, None
         if source is not None and source.kind == "tf":
             poses = FrameInput(source.name, settings.world_frame, self._refused)
@@ -248,12 +247,10 @@ class Publisher:
 
     @property
     def renderer(self) -> str:
-        """Name of what draws."""
         return self._simulator.gl_info["renderer"]
 
     @property
     def counts(self) -> PublisherCounts:
-        """What became of pings and messages up to now."""
         return PublisherCounts(
             self._n_pings, self._n_dropped, self._n_failed, self._n_jumps, self._refused.total
         )
@@ -420,7 +417,6 @@ class Publisher:
             publish_static(transport, self._topics["tf_static"], links, time_ns)
 
     def _messages_of(self, ping: Ping, time_ns: int) -> Iterator[tuple[str, object]]:
-        """Yield the messages of a ping with their kinds."""
         types, settings = self._types, self.settings
         header = types.header(time_ns, settings.beams_frame)
         if "projected_image" in self._topics:
@@ -439,7 +435,6 @@ class Publisher:
             yield "points", self._points(ping.pose, time_ns)
 
     def _points(self, pose: np.ndarray, time_ns: int):
-        """Return the message of a point cloud."""
         settings = self.settings
         points, echo = self._simulator.point_cloud(pose, settings.points_columns, settings.points_rows)
         points = points @ self._sonar.sonar_from_head[:3, :3].T.astype(np.float32)

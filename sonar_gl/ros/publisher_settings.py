@@ -190,7 +190,6 @@ class PublisherSettings:
 
     @property
     def reads_tf(self) -> bool:
-        """Whether the pose of the vehicle comes from /tf."""
         return self.pose_from is not None and self.pose_from.kind == "tf"
 
     @property

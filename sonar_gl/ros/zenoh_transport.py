@@ -182,7 +182,6 @@ class ZenohTransport(Transport):
         inbox.close()
 
     def _opened(self, connect: str, is_local: bool):
-        """Return a session of zenoh, or raise an Error."""
         config, zenoh = self._libraries.zenoh.Config(), self._libraries.zenoh
         settings = {
             # a peer that can be reached at 127.0.0.1 only is none for a router elsewhere, which forwards for clients
@@ -210,7 +209,6 @@ class ZenohTransport(Transport):
             ) from None
 
     def _warn(self, connect: str, is_local: bool) -> None:
-        """Warn of a router that other machines reach, and of none."""
         if not is_local:
             warn_caller(
                 f"zenoh leaves this machine by the router at {connect}: who reaches it can read these topics and send "

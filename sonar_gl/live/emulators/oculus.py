@@ -107,7 +107,6 @@ class OculusHead:
 
 
 def oculus_result(ping: Ping, fire: FireMessage, time_s: float, number: int) -> OculusResult:
-    """Return what an Oculus reports of a ping."""
     sonar, acoustics = ping.sonar, ping.acoustics
     *_, roll, pitch, yaw = np.degrees(pose_numbers(ping.pose))
     return OculusResult(
@@ -195,7 +194,6 @@ class OculusServer:
             await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def _start(self, work: Coroutine) -> asyncio.Task:
-        """Start a task that ends with the server."""
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -301,7 +299,6 @@ class OculusServer:
             self.counts.sent += 1
 
     async def _announce(self) -> None:
-        """Send the status again and again."""
         loop, to = asyncio.get_running_loop(), self._status_to
         transport, protocol = await loop.create_datagram_endpoint(
             lambda: _StatusProtocol(to),
@@ -333,7 +330,6 @@ class _StatusProtocol(asyncio.DatagramProtocol):
         self._to, self._has_failed = to, False
 
     def error_received(self, why: OSError) -> None:
-        """Log the first reason."""
         if not self._has_failed:
             logger.warning(
                 "no status reaches %s:%d: %s (this is logged once)", *self._to, why.strerror or why

@@ -74,7 +74,6 @@ class FireMessage:
 
     @property
     def n_beams(self) -> int:
-        """Number of beams that are asked for."""
         return 512 if self.flags & BEAMS_512 else 256
 
     @property
@@ -154,12 +153,12 @@ class OculusResult:
     azimuth_rad: np.ndarray  # (B,) of the beams, radians, rising, positive to port
     gain: np.ndarray  # (K,) linear power gain of the receiver at each range; only their ratios are sent
     bin_size_m: float  # metres
-    # of the sonar and the water
+    # frequency_hz, temperature_c, pressure_bar, sound_speed_m_s: of the sonar and the water
     frequency_hz: float
     temperature_c: float
     pressure_bar: float
     sound_speed_m_s: float
-    # degrees; of version 2
+    # heading_deg, pitch_deg, roll_deg: degrees; of version 2
     heading_deg: float
     pitch_deg: float
     roll_deg: float

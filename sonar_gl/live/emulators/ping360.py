@@ -102,11 +102,9 @@ class Ping360Server(asyncio.DatagramProtocol):
         self._last = FIRST_SETTINGS
 
     def connection_made(self, transport) -> None:
-        """Remember where answers go out."""
         self._transport = transport
 
     def datagram_received(self, data: bytes, address) -> None:
-        """Put the messages of a datagram in line."""
         for message in parse_messages(data):
             try:
                 self._waiting.put_nowait((message, address))
@@ -168,7 +166,6 @@ class Ping360Server(asyncio.DatagramProtocol):
             self._send(_nack(kind, "this device does not know the message"), address)
 
     def _reply(self, kind: int) -> PingMessage:
-        """Return the message of a type that a program requests."""
         replies = {
             DEVICE_INFORMATION: PingMessage(kind, INFORMATION),
             PROTOCOL_VERSION: PingMessage(kind, PROTOCOL),
@@ -187,7 +184,6 @@ class Ping360Server(asyncio.DatagramProtocol):
             self._send(_nack(kind, str(why)), address)
 
     async def _scan_on(self, scan: Scan, address) -> None:
-        """Scan until this is cancelled."""
         with self._refusing(AUTO_TRANSMIT, address):
             for number in count():
                 settings = replace(scan.settings, angle=scan.angle(number))
@@ -207,5 +203,4 @@ class Ping360Server(asyncio.DatagramProtocol):
 
 
 def _nack(kind: int, why: str) -> PingMessage:
-    """Return a refusal of a type of message."""
     return PingMessage(NACK, kind.to_bytes(2, "little") + why.encode("ascii", "replace") + b"\0")

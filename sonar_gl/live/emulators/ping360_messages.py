@@ -35,7 +35,6 @@ class PingMessage:
     payload: bytes = b""
 
     def pack(self, source: int, destination: int) -> bytes:
-        """Return the bytes of the message."""
         body = HEAD.pack(b"BR", len(self.payload), self.kind, source, destination) + self.payload
         return body + CHECKSUM.pack(sum(body) & 0xFFFF)
 
@@ -62,7 +61,7 @@ def parse_messages(datagram: bytes) -> list[PingMessage]:
 class TransducerSettings:
     """What a program asks a Ping360 to do."""
 
-    # as they came; gain 0 is low, 1 normal, 2 high
+    # mode, gain_setting: as they came; gain 0 is low, 1 normal, 2 high
     mode: int
     gain_setting: int
     angle: int  # of the head, gradians
@@ -86,7 +85,6 @@ class TransducerSettings:
 
     @property
     def sample_time_s(self) -> float:
-        """Time between samples, seconds."""
         return self.sample_period * SAMPLE_TICK_S
 
     def data(self, counts: bytes) -> PingMessage:
@@ -99,7 +97,7 @@ class Scan:
     """A sector that the head scans to and fro by itself, or all round."""
 
     settings: TransducerSettings  # of its pings; `angle` does not count
-    # gradians
+    # start, stop: gradians
     start: int
     stop: int
     step: int  # gradians between pings
@@ -123,7 +121,6 @@ class Scan:
         return (self.start + min(there, 2 * steps - there) * self.step) % GRADIANS
 
     def data(self, settings: TransducerSettings, counts: bytes) -> PingMessage:
-        """Return the message of one of its pings."""
         *fields, n_samples = astuple(settings)
         sector = self.start, self.stop, self.step, round(1e3 * self.delay_s)
         payload = AUTO_DATA_PAYLOAD.pack(*fields, *sector, n_samples, len(counts))

@@ -55,5 +55,4 @@ class SimulatedHead:
         return replace(ping, sonar=sonar)
 
     def close(self) -> None:
-        """Give back all that it holds."""
         self._simulators.close()

@@ -88,7 +88,6 @@ class ControlPanel:
             self._record.label = label
 
     def show_mover(self, mover: str) -> None:
-        """Show what moves the sonar."""
         self._actions.show(self._mover, mover)
 
     def show_body(self, name: str) -> None:
@@ -340,7 +339,6 @@ class ControlPanel:
             raise closed_error("page")
 
     def _show_prices(self, prices: list[Price], of: tuple) -> None:
-        """Show the prices of some settings, until these change."""
         self._prices.content, self._priced = prices_html(prices), of
 
     def _add_water(self) -> None:
@@ -415,7 +413,6 @@ def _place_text(path: Path, also: str = "") -> str:
 
 
 def _scale_slider(slider, scale: NumberScale) -> None:
-    """Have a slider end where a scale does."""
     if (slider.min, slider.max, slider.step) != (scale.low, scale.high, scale.step):
         slider.min, slider.max, slider.step = scale.low, scale.high, scale.step
     if slider.precision != scale.decimals:

@@ -135,12 +135,10 @@ class PictureSector:
 
     @property
     def height_m(self) -> float:
-        """Height of the part."""
         return self.shape[0] / self.rows_per_m
 
     @property
     def width_m(self) -> float:
-        """Width of the part."""
         return self.shape[1] / self.rows_per_m
 
     @property
@@ -184,7 +182,7 @@ class PictureSector:
 class PicturePixels(NamedTuple):
     """Where the pixels of a part lie in the whole picture, (h, w) each."""
 
-    # float32, as `FanGeometry.pixel` counts them
+    # column, row: float32, as `FanGeometry.pixel` counts them
     column: np.ndarray
     row: np.ndarray
     # float32, share of a pixel that lies in the part, so that neighbouring parts meet without a line

@@ -62,7 +62,6 @@ class ViewerPage:
         self._thread.start()
 
     def _build(self, host: str) -> None:
-        """Make all that the page shows."""
         server, session = self.server, self._session
         # viser's page may ask its server for a tunnel to a public address; this one never leaves the machine
         server.request_share_url = lambda *_, **__: None
@@ -162,7 +161,6 @@ class ViewerPage:
                 )
 
     def _note(self, client_id: int, state: BrowserState) -> None:
-        """Take note of a browser's pointer and keys."""
         # clicks count since the page was loaded, which may be before a connection that was lost
         before, _ = self._browsers.get(client_id, (state, 0.0))
         self._browsers[client_id] = state, time.monotonic()
@@ -182,7 +180,6 @@ class ViewerPage:
     # ---- actions --------------------------------------------------------------------------------------------
 
     def _move_by(self, client, mover: str) -> None:
-        """Choose what moves the sonar."""
         if mover == TRAJECTORY:
             self._session.play()
         elif self._session.state().is_following:
@@ -204,7 +201,6 @@ class ViewerPage:
         self._ping_panel.switch_keys(self._carrier is None)
 
     def _select(self, name: str) -> None:
-        """Select a body; "" for none."""
         self._session.highlight(name)
         self._nodes.select(name)
 
@@ -232,7 +228,6 @@ class ViewerPage:
         )
 
     def _sync(self) -> None:
-        """Have all controls show what the session has."""
         self._show_mover()
         self._controls.sync()
         self._controls.show_body(self._session.highlighted)

@@ -74,7 +74,6 @@ class PingPanel:
         self.read(None)
 
     def show(self, frame: LiveFrame) -> None:
-        """Show the picture of a frame."""
         picture = frame.picture
         if frame.highlight is not None:
             picture = outlined(picture, frame.highlight, SELECTED_COLOR)

@@ -31,13 +31,11 @@ class MarkedPicture:
 
     @classmethod
     def of(cls, frame: LiveFrame) -> MarkedPicture:
-        """Return that of a frame."""
         settings = frame.settings
         return cls(fan_geometry(frame.ping, settings.height), azimuth_key(frame.ping), settings.form)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the picture, pixels."""
         height = self.geometry.height
         return (self.geometry.width if self.form == "fan" else height), height
 

@@ -21,7 +21,7 @@ class NumberScale:
     """A slider, and the field beside it, into which any number may be typed."""
 
     label: str  # "name, unit", or a name that says its unit
-    # ends and step, in the unit of the label
+    # low, high, step: ends and step, in the unit of the label
     low: float
     high: float
     step: float

@@ -56,7 +56,6 @@ def pose_of(wxyz, position) -> np.ndarray:
 
 
 def put(node, pose: np.ndarray) -> None:
-    """Move a node to a (4, 4) pose."""
     node.position, node.wxyz = pose[:3, 3], quaternion_from_matrix(pose)
 
 
@@ -206,7 +205,6 @@ class SceneNodes:
         camera.look_at = at_m + 0.42 * far_m * ahead - [0.0, 0.0, 0.08 * far_m]
 
     def look_ahead(self, camera, pose: np.ndarray) -> None:
-        """Have a camera look as a sonar does."""
         at_m = self._on_page(pose)[:3, 3]
         camera.up_direction = (0.0, 0.0, 1.0)
         camera.position = at_m
