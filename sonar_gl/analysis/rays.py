@@ -231,30 +231,35 @@ def _cos_incidence(rays, hits, n, corner_normals, face):
     Interpolated normals are turned to the side of the face that the sonar is on. Where they still point away from
     the sonar, cos θ is 0.
     """
-    length2 = towards = 0.0
-    for axis in range(3):
-        normal = float(hits.normal[n, axis])
-        length2 += normal * normal
-        towards += normal * float(rays.direction[n, axis])
+    dx, dy, dz = float(rays.direction[n, 0]), float(rays.direction[n, 1]), float(rays.direction[n, 2])
+    nx, ny, nz = float(hits.normal[n, 0]), float(hits.normal[n, 1]), float(hits.normal[n, 2])
+    length2 = nx * nx + ny * ny + nz * nz
     cosine = 0.0
     if length2 > 0.0:
-        cosine = -towards / math.sqrt(length2)
+        cosine = -(nx * dx + ny * dy + nz * dz) / math.sqrt(length2)
         if corner_normals.shape[0] > 0:
             b, c = float(hits.u[n]), float(hits.v[n])
             a = 1.0 - b - c
-            shading2 = side = towards = 0.0
-            for axis in range(3):
-                shading = (
-                    a * corner_normals[face, 0, axis]
-                    + b * corner_normals[face, 1, axis]
-                    + c * corner_normals[face, 2, axis]
-                )
-                shading2 += shading * shading
-                side += shading * float(hits.normal[n, axis])
-                towards += shading * float(rays.direction[n, axis])
+            # not in a loop, where the compiler would join other products and sums, so that the last bits differ
+            sx = (
+                a * corner_normals[face, 0, 0]
+                + b * corner_normals[face, 1, 0]
+                + c * corner_normals[face, 2, 0]
+            )
+            sy = (
+                a * corner_normals[face, 0, 1]
+                + b * corner_normals[face, 1, 1]
+                + c * corner_normals[face, 2, 1]
+            )
+            sz = (
+                a * corner_normals[face, 0, 2]
+                + b * corner_normals[face, 1, 2]
+                + c * corner_normals[face, 2, 2]
+            )
+            shading2 = sx * sx + sy * sy + sz * sz
             if shading2 > 1e-6:
-                same_side = side * cosine >= 0.0
-                cosine = -towards / math.sqrt(shading2)
+                same_side = (sx * nx + sy * ny + sz * nz) * cosine >= 0.0
+                cosine = -(sx * dx + sy * dy + sz * dz) / math.sqrt(shading2)
                 cosine = max(cosine if same_side else -cosine, 0.0)
     return min(abs(cosine), 1.0)
 

@@ -90,7 +90,12 @@ def reference_ping(
     UserWarning
         if max_rays were too few.
     """
-    acoustics = _check(scene, sonar, acoustics, error, max_rays)
+    acoustics = Acoustics.physical() if acoustics is None else acoustics
+    check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
+    check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
+    check_kind("acoustics", acoustics, Acoustics, "such as sonar_gl.Acoustics.physical()")
+    check_number("error of a reference", error, 1e-4, 0.5)
+    check_number("max_rays of a reference", max_rays, 1e6, 2**33)
     check_known(acoustics)
     _check_contents(scene, acoustics)
     pose, seed = check_pose(pose), check_whole_number("seed", seed)
@@ -154,17 +159,6 @@ class _Progress:
         with self._lock:
             self._cast += n_rays
             self._report(self._cast, max(self._cast, self.expected))
-
-
-def _check(scene, sonar, acoustics, error, max_rays) -> Acoustics:
-    """Return the acoustics, or raise an Error about the first argument that is wrong."""
-    acoustics = Acoustics.physical() if acoustics is None else acoustics
-    check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
-    check_kind("sonar", sonar, Sonar, "sonar_gl.load_sonar makes one from a name or a file")
-    check_kind("acoustics", acoustics, Acoustics, "such as sonar_gl.Acoustics.physical()")
-    check_number("error of a reference", error, 1e-4, 0.5)
-    check_number("max_rays of a reference", max_rays, 1e6, 2**33)
-    return acoustics
 
 
 def check_known(acoustics: Acoustics) -> None:

@@ -186,24 +186,16 @@ def without(acoustics: Acoustics, noise: Noise, terms: Iterable[Term]) -> tuple[
 
 @dataclass(frozen=True)
 class Price:
-    """What a term changes in the image, and what it costs.
+    """What a term changes in the image, and what it costs."""
 
-    Attributes
-    ----------
-    name : of the term
-    changes : Σ|with − without| / Σ with, over beams and bins, a share; the largest over the poses
-    worst_bin : the largest |with − without| of a bin over the strongest bin of the image; likewise
-    changed_bins : share of the displayed bins, 0..1, that change by more than 3 dB, see `changed_bins`; likewise
-    time_ms : what it adds to the time of a ping, milliseconds; 0 if it changes nothing, or adds less than times vary
-    on : whether it is needed to keep the tolerance
-    """
-
-    name: str
-    changes: float
-    worst_bin: float
+    name: str  # of the term
+    changes: float  # Σ|with − without| / Σ with, over beams and bins, a share; the largest over the poses
+    worst_bin: float  # the largest |with − without| of a bin over the strongest bin of the image; likewise
+    # share of the displayed bins, 0..1, that change by more than 3 dB, see `changed_bins`; likewise
     changed_bins: float
+    # what it adds to the time of a ping, milliseconds; 0 if it changes nothing, or adds less than times vary
     time_ms: float
-    on: bool
+    on: bool  # whether it is needed to keep the tolerance
 
 
 def differs(full, reduced) -> tuple[float, float]:

@@ -65,27 +65,17 @@ def worst_body(ping: Ping, truth: Ping) -> tuple[float, int]:
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """A ping and its truth, without noise. B beams, K bins.
+    """A ping and its truth, without noise. B beams, K bins."""
 
-    Attributes
-    ----------
-    ping, truth : the ping of `Simulator` and that of `reference_ping`, both with `body_echo`
-    tolerance : the share of the echo that may lie in wrong bins
-    error : Σ|E − T| / ΣT
-    worst_body_error : the largest relative error of a body's own echo
-    worst_body : the name of that body, "" if none counts
-    time_ms : median time of `Simulator.ping`, without labels, milliseconds
-    reference_s : time of the reference, seconds
-    """
-
+    # ping, truth: the ping of `Simulator` and that of `reference_ping`, both with `body_echo`
     ping: Ping
     truth: Ping
-    tolerance: float
-    error: float
-    worst_body_error: float
-    worst_body: str
-    time_ms: float
-    reference_s: float
+    tolerance: float  # the share of the echo that may lie in wrong bins
+    error: float  # Σ|E − T| / ΣT
+    worst_body_error: float  # the largest relative error of a body's own echo
+    worst_body: str  # the name of that body, "" if none counts
+    time_ms: float  # median time of `Simulator.ping`, without labels, milliseconds
+    reference_s: float  # time of the reference, seconds
 
     @property
     def kept(self) -> bool:
@@ -101,11 +91,6 @@ class Verification:
     def certain(self) -> bool:
         """Whether the reference is exact enough: its halves differ by no more than a tenth of the error."""
         return self.difference * AGREEMENT <= self.error
-
-    @property
-    def wrong(self) -> np.ndarray:
-        """(B, K) float64, |E − T|."""
-        return np.abs(self.ping.intensity.astype(np.float64) - self.truth.intensity)
 
 
 def verify(
@@ -204,9 +189,10 @@ def error_picture(verification: Verification, height: int) -> np.ndarray:
 
 def _difference_panel(v: Verification, height: int) -> _Panel:
     """Draw the difference, with full colour from a percentile of the errors on."""
-    wrong = v.wrong[v.wrong > 0]
+    signed = v.ping.intensity.astype(np.float64) - v.truth.intensity
+    wrong = np.abs(signed[signed != 0])
     limit = float(np.percentile(wrong, COLOUR_PERCENTILE)) if wrong.size else 1.0
-    signed = (v.ping.intensity.astype(np.float64) - v.truth.intensity) / limit
+    signed /= limit
     more, less = (
         fan_image(replace(v.ping, intensity=part.clip(0, 1).astype(np.float32)), height, LINEAR)
         for part in (signed, -signed)

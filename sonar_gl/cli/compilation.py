@@ -192,8 +192,13 @@ def _work_without_opengl():
     body_map(ping, 40)
     with suppress(ModuleNotFoundError):  # the extra `batch` is not installed, or only parts of it
         cli.batch_compilation.encode_layers(ping)
-    _make_levels()
-    _list_draws()
+    # levels of detail of a flat floor, the smallest that has any
+    n = math.isqrt(MIN_FACES_TO_SIMPLIFY // 2) + 2
+    floor = terrain(np.zeros((n, n)), (1.0, 1.0)).mesh
+    make_levels(floor.vertices, floor.faces)
+    # draws of OpenGL, which the engine `cpu` does without, and a simulator in a host's context does not
+    one = np.zeros(1, np.int64)
+    draw_patches(np.zeros((1, 2), np.int32), one, one, one, 0, DrawList().reserve(1))
     if find_spec("embreex"):
         reference_ping(_scene(), SONAR, POSE, Acoustics.ideal(), 0.5, 1_000_000)
 
@@ -265,19 +270,6 @@ def _embed():
         sensor.ping_from_depth(depth, camera)
         sensor.ping_from_depth(depth, camera, holds="range", normals=normals, body_id=numbers, labels=True)
         sensor.ping_from_depth([depth, depth], [camera, camera], body_id=[numbers, numbers], labels=True)
-
-
-def _make_levels():
-    """Make levels of detail of a flat floor, the smallest that has any."""
-    n = math.isqrt(MIN_FACES_TO_SIMPLIFY // 2) + 2
-    floor = terrain(np.zeros((n, n)), (1.0, 1.0)).mesh
-    make_levels(floor.vertices, floor.faces)
-
-
-def _list_draws():
-    """List draws of OpenGL, which the engine `cpu` does without, and a simulator in a host's context does not."""
-    one = np.zeros(1, np.int64)
-    draw_patches(np.zeros((1, 2), np.int32), one, one, one, 0, DrawList().reserve(1))
 
 
 def main():

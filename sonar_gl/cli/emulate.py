@@ -134,17 +134,11 @@ def _serve(scene_name: str, options, sonar: Sonar, make_server):
 
 async def listen(server, describe: Callable[[], str]) -> None:
     """Serve until Ctrl-C or SIGTERM; print what `describe` returns once the port, which may be 0, is open."""
-    started = asyncio.Event()
-    serving = asyncio.create_task(server.run(started))
-    opening = asyncio.create_task(started.wait())
+    serving = asyncio.create_task(server.run(lambda: echo(describe(), err=True)))
     with _cancelled_by_signals(serving):
         try:
-            await asyncio.wait([serving, opening], return_when=asyncio.FIRST_COMPLETED)
-            if started.is_set():
-                echo(describe(), err=True)
             await asyncio.wait([serving])
         finally:
-            opening.cancel()
             serving.cancel()
             await asyncio.wait([serving])
     if not serving.cancelled():

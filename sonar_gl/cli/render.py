@@ -38,7 +38,6 @@ from sonar_gl.noise.reception import receiver_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.extent import bodies_beyond
-from sonar_gl.scene.scene import Scene
 from sonar_gl.simulator import Simulator
 from sonar_gl.sonar.sonar import Sonar, too_short_step_s
 
@@ -86,7 +85,10 @@ def render(scene_name: str, options, given: set[str]) -> str:
     with Simulator(scene, sonar, acoustics, tolerance=options.tolerance) as simulator:
         if not in_demarco or "npz" in options.formats:  # the paper's picture is made of points alone
             simulator.plan(poses)  # before the first ping, so that no ping depends on those before it
-        _note_bodies_beyond(scene, poses, acoustics.true_range_sonar(sonar).range_max_m)
+        range_m = acoustics.true_range_sonar(sonar).range_max_m
+        beyond = bodies_beyond(scene.bodies, np.array(poses)[:, :3, 3], range_m)
+        if 0 < len(beyond) < len(scene.bodies):  # where all lie there, the warning of no echo says so
+            echo(f"range: {range_m:.4g} m; beyond it: {some_names(beyond)}", err=True)
         writer = FrameWriter(
             simulator=simulator,
             style=style,
@@ -123,13 +125,6 @@ def _check_combination(options, given: set[str]):
         raise Error("--fps needs --format gif or --format mp4 (nothing else has frames)")
     for film in films:
         check_fps(options.fps, film)
-
-
-def _note_bodies_beyond(scene: Scene, poses, range_m: float) -> None:
-    """Say which bodies lie beyond the range in all pings; where all do, the warning of no echo says so."""
-    beyond = bodies_beyond(scene.bodies, np.array(poses)[:, :3, 3], range_m)
-    if 0 < len(beyond) < len(scene.bodies):
-        echo(f"range: {range_m:.4g} m; beyond it: {some_names(beyond)}", err=True)
 
 
 def _with_counts(sonar: Sonar, options, style: FanStyle) -> Sonar:
@@ -285,30 +280,23 @@ class FrameWriter:
                 more = {"time_s": time_s, "label_level_db": self.label_level_db}
                 ping = self.simulator.ping(poses[number], *settings, **more)
                 self._times_ms.append(1e3 * (time.perf_counter() - start))
-                self._note(ping, number)
-                needs_picture = set(self.formats) != {"npz"}
-                picture = self._picture(ping, number) if needs_picture else None
-                if needs_picture:
+                found = self._strongest_echo(ping, number)
+                if self._strongest is None or found[:2] > self._strongest[:2]:
+                    self._strongest = found
+                picture = None
+                if set(self.formats) != {"npz"}:
+                    by_paper = isinstance(self.style, DemarcoStyle)  # which draws by the pose of a ping
+                    picture = self.style(self.simulator, ping, number) if by_paper else self.style(ping)
                     bright = self._is_bright(ping, picture)
-                    share = np.count_nonzero(bright) / bright.size
-                    self._bright_share = max(self._bright_share or 0.0, share)
+                    self._bright_share = max(
+                        self._bright_share or 0.0, np.count_nonzero(bright) / bright.size
+                    )
                 self._has_files |= bool(stills)
                 contents = {"png": (save_png, picture), "npz": (save_npz, ping)}
                 for still in stills:
                     save, content = contents[still]
                     calls.start(save, self.folder / f"{names[number]}.{still}", content)
                 yield picture
-
-    def _picture(self, ping: Ping, number: int) -> np.ndarray:
-        """Return the picture of a ping, (H, W, 3) uint8 or (H, W) uint16; the paper's is drawn from its pose."""
-        if isinstance(self.style, DemarcoStyle):
-            return self.style(self.simulator, ping, number)
-        return self.style(ping)
-
-    def _note(self, ping: Ping, number: int):
-        found = self._strongest_echo(ping, number)
-        if self._strongest is None or found[:2] > self._strongest[:2]:
-            self._strongest = found
 
     def _is_bright(self, ping: Ping, picture: np.ndarray) -> np.ndarray:
         """Return which bins, or pixels of the founding paper's picture, which has an echo of its own, can be seen."""

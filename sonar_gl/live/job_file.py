@@ -41,8 +41,11 @@ def add_pose(path: Path, world_from_sonar: np.ndarray) -> None:
     tables = job.get("poses", [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise Error(f"{path}: poses must be tables, as in [[poses]] (got {type(tables).__name__})")
-    csv = _pose_file(path, [table.get("file") for table in tables])
-    rows, names_csv = [], any(table.get("file") == csv.name for table in tables)
+    named = [table.get("file") for table in tables]
+    # the file that the job names, or else one that no other job has left there
+    names = (f"{path.stem}_view{'' if number == 1 else f'_{number}'}.csv" for number in count(1))
+    csv = next(csv for csv in map(path.with_name, names) if csv.name in named or not csv.exists())
+    rows, names_csv = [], csv.name in named
     if csv.exists():
         times_s, poses = read_poses(csv)
         rows = [
@@ -64,12 +67,6 @@ def add_pose(path: Path, world_from_sonar: np.ndarray) -> None:
                 f"{path}: poses must be tables [[poses]], so that another can follow (got poses = [...] in one line)"
             ) from None
         write_poses(csv, rows)  # before the job names it
-
-
-def _pose_file(path: Path, named: list) -> Path:
-    """Return the file of poses beside a job: the one that it names, or else one that no other job has left there."""
-    names = (f"{path.stem}_view{'' if number == 1 else f'_{number}'}.csv" for number in count(1))
-    return next(csv for csv in map(path.with_name, names) if csv.name in named or not csv.exists())
 
 
 def new_job_text(name: str, settings: LiveSettings, source: SceneSource) -> str:

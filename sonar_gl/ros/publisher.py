@@ -46,44 +46,28 @@ REPORT_S = 10.0  # of real time, between lines of the log
 
 @dataclass(frozen=True)
 class StepResult:
-    """What a step of the loop did.
+    """What a step of the loop did."""
 
-    Attributes
-    ----------
-    has_pinged : whether it made a ping, or began one in the background
-    n_dropped : number of pings that are left out from this step on: their time passed between the steps, or they waited
-        for a ping in the background until the next one was due
-    has_jumped : whether time jumped, so that the sonar's rate counts from this step on
-    waits_for_pose : whether no pose has come yet
-    ping : the Ping that was published since the step before, or None. In the background that is a ping of an earlier
-        step; its `meta["time_s"]` is its time
-    """
-
-    has_pinged: bool = False
+    has_pinged: bool = False  # whether it made a ping, or began one in the background
+    # number of pings that are left out from this step on: their time passed between the steps, or they waited for a
+    # ping in the background until the next one was due
     n_dropped: int = 0
-    has_jumped: bool = False
-    waits_for_pose: bool = False
+    has_jumped: bool = False  # whether time jumped, so that the sonar's rate counts from this step on
+    waits_for_pose: bool = False  # whether no pose has come yet
+    # the Ping that was published since the step before, or None. In the background that is a ping of an earlier step;
+    # its `meta["time_s"]` is its time
     ping: Ping | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
 class PublisherCounts:
-    """What became of the pings and of the messages that came.
+    """What became of the pings and of the messages that came."""
 
-    Attributes
-    ----------
-    pings : number of pings that were published
-    dropped : of pings that were left out since they would have come too late
-    failed : of pings that could not be made at the poses that came
-    jumps : of jumps of time
-    refused : of messages, or parts of them, that were ignored
-    """
-
-    pings: int = 0
-    dropped: int = 0
-    failed: int = 0
-    jumps: int = 0
-    refused: int = 0
+    pings: int = 0  # number of pings that were published
+    dropped: int = 0  # of pings that were left out since they would have come too late
+    failed: int = 0  # of pings that could not be made at the poses that came
+    jumps: int = 0  # of jumps of time
+    refused: int = 0  # of messages, or parts of them, that were ignored
 
     def __str__(self):
         text = f"{self.pings} pings published, {self.dropped} dropped as they came too late"

@@ -335,30 +335,6 @@ def test_the_page_itself_and_programs_are_served(page):
 # ---- what fails ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore:.*does not match annotation")  # by viser
-@pytest.mark.parametrize(
-    "place",
-    [
-        ([1.0, 0.0], [0.0, 0.0, 0.0]),
-        *(pytest.param(at, marks=pytest.mark.slow) for at in (([1.0, 0.0, 0.0, 0.0], [0.0]), ([], []))),
-    ],
-)
-def test_numbers_that_are_no_pose_are_refused(session, browser, place):
-    start = position(session)
-    browser.drag("/move_sonar", *place)
-    wait_until(
-        lambda: "a pose must be a quaternion of 4 and a position of 3 numbers" in "".join(browser.notes)
-    )
-    assert position(session) == start
-    browser.drag("/move_sonar", *ELSEWHERE)
-    wait_until(lambda: position(session) == list(ELSEWHERE[1]))
-    browser.change("range, m", 15.0)
-    wait_until(lambda: session.settings.range_m == 15.0)  # all messages of the drag are done
-    session.set_pose(sg.pose(1, 0, -5))
-    for node in ("/sonar", "/move_sonar"):
-        wait_until(lambda node=node: browser.nodes[node].get("position") == [1.0, 0.0, -5.0])
-
-
 @pytest.mark.slow
 def test_a_speed_that_is_no_number_is_refused(session, browser):
     browser.change("speed, m/s", float("nan"))

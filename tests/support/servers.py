@@ -28,7 +28,7 @@ def running(server):
 
     async def serve():
         started = asyncio.Event()
-        task = asyncio.create_task(server.run(started))
+        task = asyncio.create_task(server.run(started.set))
         waiting = asyncio.create_task(started.wait())
         await asyncio.wait({task, waiting}, return_when=asyncio.FIRST_COMPLETED)
         waiting.cancel()

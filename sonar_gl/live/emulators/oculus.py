@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-from collections.abc import Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -175,13 +175,15 @@ class OculusServer:
         self._is_full = False  # and the log says so
         self._tasks: set[asyncio.Task] = set()
 
-    async def run(self, started: asyncio.Event | None = None) -> None:
-        """Serve until this is cancelled; raises OSError if the port is taken, or the host is no address of IPv4."""
+    async def run(self, on_open: Callable[[], None] = lambda: None) -> None:
+        """Serve until this is cancelled; raises OSError if the port is taken, or the host is no address of IPv4.
+
+        on_open : called once the port is open
+        """
         # messages have room for addresses of IPv4 alone
         server = await asyncio.start_server(self._admit, self._host, self.port, family=socket.AF_INET)
         self.port = server.sockets[0].getsockname()[1]
-        if started is not None:
-            started.set()
+        on_open()
         tasks = [self._start(self._ping())]
         if self._status_to is not None:
             tasks.append(self._start(self._announce()))

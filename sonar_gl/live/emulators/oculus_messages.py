@@ -189,14 +189,9 @@ class OculusResult:
     def _image(self) -> bytes:
         """Return the image: for each range its gain, where that is asked for, and the counts of all beams.
 
-        The layout gives gains 32 bits and no unit. Drivers read whole numbers, liboculus [1]_ signed ones, and
-        oculus_driver [2]_ divides counts by their square roots: so they are powers here, the greatest of a ping as much
-        as a signed number holds, the least 1.
-
-        References
-        ----------
-        .. [1] include/liboculus/SimplePingResult.h, GainData_t
-        .. [2] github.com/ENSTABretagneRobotics/oculus_driver, include/oculus_driver/helpers.h, ping_data_to_array
+        The layout gives gains 32 bits and no unit. liboculus (SimplePingResult.h, GainData_t) reads signed numbers, and
+        oculus_driver of github.com/ENSTABretagneRobotics (helpers.h, ping_data_to_array) divides counts by their square
+        roots: so they are powers here, the greatest of a ping as much as a signed number holds, the least 1.
         """
         numbers = self.counts[::-1].T
         rows = np.ascontiguousarray(numbers.astype(numbers.dtype.newbyteorder("<"))).view(np.uint8)

@@ -6,7 +6,7 @@ import asyncio
 import logging
 import math
 import socket
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -111,8 +111,11 @@ class Ping360Server(asyncio.DatagramProtocol):
             except asyncio.QueueFull:
                 self.dropped += 1
 
-    async def run(self, started: asyncio.Event | None = None) -> None:
-        """Serve until this is cancelled; raises OSError if the port is taken, or the host no address of IPv4."""
+    async def run(self, on_open: Callable[[], None] = lambda: None) -> None:
+        """Serve until this is cancelled; raises OSError if the port is taken, or the host no address of IPv4.
+
+        on_open : called once the port is open
+        """
         loop = asyncio.get_running_loop()
         self._waiting, self._began_s = asyncio.Queue(MAX_WAITING), loop.time()
         # of the addresses of a name, the one by which programs find a device, which knows IPv4 alone
@@ -120,8 +123,7 @@ class Ping360Server(asyncio.DatagramProtocol):
             lambda: self, local_addr=(self._host, self.port), family=socket.AF_INET
         )
         self.port = transport.get_extra_info("sockname")[1]
-        if started is not None:
-            started.set()
+        on_open()
         scanning = None
         try:
             while True:

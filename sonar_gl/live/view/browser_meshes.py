@@ -37,14 +37,12 @@ def browser_meshes(scene: Scene, max_triangles: int = MAX_TRIANGLES) -> list[Bro
     check_whole_number("max_triangles", max_triangles, FEWEST)
     bodies = list(scene.bodies)
     if len(bodies) > max_triangles // FEWEST:
-        largest = sorted(range(len(bodies)), key=lambda index: -_extent_m(bodies[index]))
+        largest = sorted(
+            range(len(bodies)), key=lambda index: -np.ptp(bodies[index].surface.vertices, axis=0).max()
+        )
         bodies = [bodies[index] for index in sorted(largest[: max_triangles // FEWEST])]
     most = _most_triangles([len(body.surface.faces) for body in bodies], max_triangles)
     return [_browser_mesh(body, most) for body in bodies]
-
-
-def _extent_m(body: Body) -> float:
-    return float(np.ptp(np.asarray(body.surface.vertices), axis=0).max())
 
 
 def _most_triangles(counts: list[int], total: int) -> int:

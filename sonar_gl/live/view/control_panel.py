@@ -79,7 +79,11 @@ class ControlPanel:
         if self._priced is not None and self._priced != _priced_by(settings):
             self._prices.content, self._priced = "", None
         for slider, scale_of in self._sliders:
-            _scale_slider(slider, scale_of(settings))
+            scale = scale_of(settings)
+            if (slider.min, slider.max, slider.step) != (scale.low, scale.high, scale.step):
+                slider.min, slider.max, slider.step = scale.low, scale.high, scale.step
+            if slider.precision != scale.decimals:
+                slider.precision = scale.decimals
         for handle, shown in self._shown:
             self._actions.show(handle, shown(settings))
         is_recording = self._session.output.is_recording
@@ -152,7 +156,7 @@ class ControlPanel:
         change: Callable[[str], object],
         hint: str | None = None,
     ) -> None:
-        """Add a dropdown that shows one of some names, and refuses others."""
+        """Add a dropdown that shows one of some names."""
         dropdown = self._gui.add_dropdown(
             label, options, initial_value=shown(self._session.settings), hint=hint
         )
@@ -292,7 +296,14 @@ class ControlPanel:
                 lambda name: session.change(acoustics=Acoustics(name, water=session.settings.water)),
                 "Sets all terms below; each may be switched by itself after that.",
             )
-            self._add_choice("noise", (*PRESETS, OTHER), _shown_noise, self._change_noise)
+            self._add_choice(
+                "noise",
+                (*PRESETS, OTHER),
+                lambda settings: next(
+                    (name for name, one in PRESETS.items() if one == settings.noise), OTHER
+                ),
+                self._change_noise,
+            )
             for name in term_names():
                 label = SHORT_LABELS.get(name, name)
                 self._terms[name] = gui.add_checkbox(label, settings.is_on(name), hint=f"Term: {name}.")
@@ -410,17 +421,6 @@ class ControlPanel:
 def _place_text(path: Path, also: str = "") -> str:
     """Return where a file is, its name first: a note cuts off what is too long for a line."""
     return f"{path.name}{also} in {path.parent}"
-
-
-def _scale_slider(slider, scale: NumberScale) -> None:
-    if (slider.min, slider.max, slider.step) != (scale.low, scale.high, scale.step):
-        slider.min, slider.max, slider.step = scale.low, scale.high, scale.step
-    if slider.precision != scale.decimals:
-        slider.precision = scale.decimals
-
-
-def _shown_noise(settings: LiveSettings) -> str:
-    return next((name for name, noise in PRESETS.items() if noise == settings.noise), OTHER)
 
 
 def _priced_by(settings: LiveSettings) -> tuple:

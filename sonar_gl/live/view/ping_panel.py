@@ -87,13 +87,10 @@ class PingPanel:
         """Show the numbers of a frame, and what the session does now, such as that its pings fail."""
         self._numbers.content = _numbers_html(frame, state)
         if self._session.track is not None:
-            self._show_time(state)
-
-    def _show_time(self, state: LiveState) -> None:
-        self._actions.show(self._position, min(round(state.position_s, 1), self._position.max))
-        label = "Pause" if state.is_playing else "Play"
-        if self._play.label != label:
-            self._play.label = label
+            self._actions.show(self._position, min(round(state.position_s, 1), self._position.max))
+            label = "Pause" if state.is_playing else "Play"
+            if self._play.label != label:
+                self._play.label = label
 
     def read(self, reading: Reading | None) -> None:
         """Show what stands under the pointer; None outside the fan."""
@@ -141,15 +138,6 @@ def rounded(number: float, decimals: int) -> str:
     ('0.0', '-5.00')
     """
     return f"{round(number, decimals) + 0.0:.{decimals}f}"
-
-
-def level_text(level_db: float) -> str:
-    """Return the level of a bin; nothing has sent an echo into one of minus infinity.
-
-    >>> level_text(-36.14), level_text(-math.inf)
-    ('-36.1 dB', 'no echo')
-    """
-    return f"{level_db:.1f} dB" if math.isfinite(level_db) else "no echo"
 
 
 def _rows_html(rows) -> str:
@@ -203,7 +191,8 @@ def _reading_html(reading: Reading | None) -> str:
         body = reading.body or NOTHING
         range_text = f"{reading.range_m:.2f} m"
         azimuth = f"{math.degrees(reading.azimuth_rad):+.1f}°"
-        level = f"{level_text(reading.level_db)}, {reading.count} counts"
+        level_db = f"{reading.level_db:.1f} dB" if math.isfinite(reading.level_db) else "no echo"
+        level = f"{level_db}, {reading.count} counts"
         if reading.elevation_rad is not None:
             elevation = f"{math.degrees(reading.elevation_rad):+.1f}°"
     return _rows_html(

@@ -9,8 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from trimesh.transformations import quaternion_from_matrix, quaternion_matrix
 
-from sonar_gl.core.checks import shown
-from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.embed.camera import SONAR_FROM_OPTICAL
 from sonar_gl.imaging.fan_image import FanGeometry, fan_geometry
@@ -44,14 +42,9 @@ SITE_STEP_M = 1000.0
 
 
 def pose_of(wxyz, position) -> np.ndarray:
-    """Return the (4, 4) pose of a node; Error if a browser has sent numbers that are none."""
-    try:
-        out = quaternion_matrix(np.reshape(np.asarray(wxyz, float), 4))
-        out[:3, 3] = np.reshape(np.asarray(position, float), 3)
-    except (TypeError, ValueError):
-        raise Error(
-            f"a pose must be a quaternion of 4 and a position of 3 numbers (got {shown(wxyz)} and {shown(position)})"
-        ) from None
+    """Return the (4, 4) pose of a node."""
+    out = quaternion_matrix(wxyz)
+    out[:3, 3] = position
     return out
 
 
@@ -112,16 +105,18 @@ class SceneNodes:
 
     def show(self, frame: LiveFrame, pose: np.ndarray) -> None:
         """Show the sonar, its fan and the bodies as they were at a ping, and the gizmo where the sonar is now."""
-        extent = _extent(frame.settings.device)
+        device = frame.settings.device
+        elevations = device.elevation_fov_deg, device.tilt_deg
+        extent = device.fan_edges_rad, elevations, device.range_min_m, device.range_max_m
         if extent != self._fan_extent:
-            self._draw_fan(frame.settings.device)
+            self._draw_fan(device)
             self._fan_extent = extent
         if self._pose is None or not np.array_equal(self._pose, frame.pose):
             put(self._sonar, self._on_page(frame.pose))
             self._pose = frame.pose
         if not (self._is_dragging or self._actions.waits(id(self._gizmo))):
-            at = self._on_page(pose)
-            if not _stands_at(self._gizmo, at):
+            now, at = pose_of(self._gizmo.wxyz, self._gizmo.position), self._on_page(pose)
+            if not np.allclose(now, at, rtol=0.0, atol=1e-6):
                 put(self._gizmo, at)
         for name, node in self._bodies.items():
             world_from_body = frame.bodies.get(name, self._home[name])
@@ -172,20 +167,16 @@ class SceneNodes:
             return
         for number, (other, node) in enumerate(self._bodies.items()):
             node.color = _selected_color(number) if other == name else _color(number)
-        self._let_through(name)
+            # a node that is clicked takes the pointer from the gizmo that is inside or behind it
+            if other == name:
+                node.remove_click_callback()
+            elif other == self._selected:
+                node.on_click(self._body_clicked[other])
         self._selected = name
         if name in self._bodies:
             self._center = self._middles[name]
             self._follow_body()
         self._body_gizmo.visible = name in self._bodies  # last: from now on it can be dragged
-
-    def _let_through(self, name: str) -> None:
-        """Have the pointer reach the gizmo of a body: a node that is clicked takes it from what is inside or behind."""
-        for other, node in self._bodies.items():
-            if other == name:
-                node.remove_click_callback()
-            elif other == self._selected:
-                node.on_click(self._body_clicked[other])
 
     def show_gizmo(self, visible: bool) -> None:
         """Show the sonar's gizmo or hide it, as while a browser's camera carries the sonar."""
@@ -359,18 +350,3 @@ def _color(number: int) -> tuple[int, int, int]:
 def _selected_color(number: int) -> tuple[int, int, int]:
     """Return half the colour of a body, since a floor all of another colour would drown the scene."""
     return tuple((own + marked) // 2 for own, marked in zip(_color(number), SELECTED_COLOR, strict=True))
-
-
-def _extent(device: Sonar) -> tuple:
-    """Return what the drawing of a fan depends on."""
-    return (
-        device.fan_edges_rad, device.elevation_fov_deg, device.range_min_m, device.range_max_m, device.tilt_deg
-    )  # fmt: skip
-
-
-def _stands_at(node, pose: np.ndarray) -> bool:
-    """Return whether a node is at a pose; False, too, for numbers of a browser that are no pose."""
-    try:
-        return bool(np.allclose(pose_of(node.wxyz, node.position), pose, rtol=0.0, atol=1e-6))
-    except Error:
-        return False

@@ -616,7 +616,7 @@ def test_the_end_of_the_server_is_that_of_all_its_tasks():
 
     async def serve(simulation):
         server, started = OculusServer(device, simulation, port=0, status_to=None), asyncio.Event()
-        serving = asyncio.create_task(server.run(started))
+        serving = asyncio.create_task(server.run(started.set))
         await asyncio.wait_for(started.wait(), WAIT_S)
         with socket.create_connection(("127.0.0.1", server.port)) as program:
             program.sendall(fire_bytes())

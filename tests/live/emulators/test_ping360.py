@@ -333,7 +333,7 @@ def test_a_scan_that_the_machine_fails_ends_the_device():
 
     async def serve(simulation):
         server, started = Ping360Server(LostHead(), simulation, port=0), asyncio.Event()
-        serving = asyncio.create_task(server.run(started))
+        serving = asyncio.create_task(server.run(started.set))
         await asyncio.wait_for(started.wait(), WAIT_S)
         message = PingMessage(AUTO_TRANSMIT, AUTO_PAYLOAD.pack(1, 0, 32, 400, 750, 201, 390, 10, 5, 0)).pack(
             0, 0
