@@ -178,14 +178,11 @@ def generate_rays(rays, first, block, log2_blocks, keys, aperture):
     Any 2^k rays of the aperture, from the first on, have exactly one in every box of 2^-a of the azimuths by
     2^-(k - a) of the sines of elevation: strata of all shapes at once, and twice the rays refine all of them.
 
-    Parameters
-    ----------
     rays : Rays, overwritten but for `start_m`
     first : index of the first ray in its block
     block, log2_blocks : the aperture is 2^log2_blocks blocks of equal azimuth; the keys decide which one has which
         index
     keys : (4,) uint32, random: a permutation and a digital shift for each of the two coordinates
-    aperture : Aperture
     """
     directions = np.empty(32, np.uint32)  # of the second Sobol coordinate, one for each bit of a ray's index
     directions[0] = uint32(0x80000000)

@@ -159,14 +159,8 @@ class _Panel(NamedTuple):
 def error_picture(verification: Verification, height: int) -> np.ndarray:
     """Draw the ping, the reference and their difference side by side, to show where in the fan the error lies.
 
-    Parameters
-    ----------
-    verification : Verification
-    height : height of a fan, pixels
-
-    Returns
-    -------
-    (H, W, 3) uint8 RGB; in the difference red is too much echo, blue too little, on a linear scale
+    Returns (H, W, 3) uint8 RGB; in the difference red is too much echo, blue too little, on a linear scale. `height` is
+    that of a fan, pixels.
     """
     v = verification
     strongest = float(v.truth.intensity.max())

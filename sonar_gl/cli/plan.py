@@ -12,7 +12,7 @@ import numpy as np
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.analysis.terms import TURNS, needed_acoustics, price
 from sonar_gl.cli.common import acoustics_from, poses_from, scene_from, sonar_from, water_from
-from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text, tolerance_text
+from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.core.errors import Error
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.engine.flow import Plan
@@ -104,7 +104,7 @@ def plan_text(found: dict) -> str:
     met = "can be met" if found["met"] else f"can NOT be met: {CURE}"
     lines = [("poses", str(found["poses"]))] if found["poses"] > 1 else []
     lines += [
-        ("tolerance", f"{tolerance_text(found['tolerance'])} {met}"),
+        ("tolerance", f"{100 * found['tolerance']:g} % {met}"),
         ("samples", f"{found['samples']}, with {columns:.4g} columns per beam x {rows} rows in the aperture"),
     ]
     if found["has_echo"]:
@@ -136,7 +136,7 @@ def _plans_text(found: dict) -> str:
     """Return the table of the plans for half the tolerance, the tolerance and twice the tolerance."""
     rows = [
         (
-            tolerance_text(facts["tolerance"]),
+            f"{100 * facts['tolerance']:g} %",
             str(facts["samples"]),
             *_estimates(facts),
             f"{facts['time_ms']:.2f}",

@@ -47,12 +47,3 @@ def percent(share: float, bound: float = math.inf) -> str:
     if share >= 0.995:
         return f"{100 * share:.0f} %"
     return f"{text_beside(100 * share, 100 * bound, digits=2)} %"
-
-
-def tolerance_text(tolerance: float) -> str:
-    """Return a tolerance as per cent, as it was given.
-
-    >>> tolerance_text(0.0125)
-    '1.25 %'
-    """
-    return f"{100 * tolerance:g} %"

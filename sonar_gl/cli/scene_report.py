@@ -10,14 +10,7 @@ import numpy as np
 from sonar_gl.cli.common import describe_sonar, scene_from
 from sonar_gl.cli.report import table_text
 from sonar_gl.core.poses import pose_numbers
-from sonar_gl.scene.extent import (
-    body_bounds,
-    bounds_of,
-    is_infinite,
-    other_unit_text,
-    place_texts,
-    size_text,
-)
+from sonar_gl.scene.extent import body_bounds, bounds_of, is_infinite, other_unit_text, place_texts, size_text
 from sonar_gl.scene.load import is_sdf, is_turned
 from sonar_gl.scene.scene import Body, Scene
 

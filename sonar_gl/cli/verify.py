@@ -17,7 +17,7 @@ from sonar_gl.analysis.verify import MAX_ROUNDS, Verification, error_picture
 from sonar_gl.analysis.verify import verify as verify_ping
 from sonar_gl.cli.common import acoustics_from, check_output, poses_from, scene_from, sonar_from, water_from
 from sonar_gl.cli.output import echo
-from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text, tolerance_text
+from sonar_gl.cli.report import facts_text, percent, ping_facts, table_text
 from sonar_gl.imaging.fan_image import fan_geometry
 from sonar_gl.imaging.files import output_folder, save_png
 from sonar_gl.ping import Ping
@@ -134,12 +134,13 @@ def verify_text(found: dict) -> str:
     )
     rows = [("sampling", sampling)]
     if found["has_echo"]:
-        tolerance, kept = tolerance_text(found["tolerance"]), "kept" if found["kept"] else "NOT kept"
+        kept = "kept" if found["kept"] else "NOT kept"
         estimate = "none" if found["error_estimate"] is None else percent(found["error_estimate"])
         rows += [
             (
                 "error",
-                f"{percent(found['error'], found['tolerance'])} of the echo; the tolerance of {tolerance} is {kept}",
+                f"{percent(found['error'], found['tolerance'])} of the echo; the tolerance of "
+                f"{100 * found['tolerance']:g} % is {kept}",
             ),
             ("estimate", f"{estimate}, by the ping itself"),
             ("worst body", _worst_body_text(found)),

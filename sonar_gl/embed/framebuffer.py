@@ -6,14 +6,7 @@ import numpy as np
 
 from sonar_gl.core.errors import Error
 from sonar_gl.gl import lifetime
-from sonar_gl.gl.enums import (
-    DEPTH_TEST,
-    DRAW_FRAMEBUFFER_BINDING,
-    FLOAT,
-    RED_INTEGER,
-    RENDERBUFFER,
-    RGBA,
-)
+from sonar_gl.gl.enums import DEPTH_TEST, DRAW_FRAMEBUFFER_BINDING, FLOAT, RED_INTEGER, RENDERBUFFER, RGBA
 from sonar_gl.gl.host import HostContext
 from sonar_gl.scene.scene import ROUGHNESS_BOUNDS_RAD
 from sonar_gl.sonar.sector import Sector

@@ -153,7 +153,11 @@ class Sensor:
         pose, host = check_pose(pose), self._current_host()
         if self._drawing is None or self._drawing.near_m != near_m:
             self._release_framebuffers()
-            self._drawing = Drawing(host, self._stage(self.sampling or self._usual_sampling()), near_m)
+            sampling = self.sampling
+            if sampling is None:  # what most pings need for the tolerance
+                asked = sampling_at(self.sonar, typical_level(self.tolerance))
+                sampling = fitted_sampling(self.sonar, asked, beam_shape(self.sonar, self.acoustics))
+            self._drawing = Drawing(host, self._stage(sampling), near_m)
         return self._drawing.make_sectors(pose)
 
     def finish(
@@ -275,11 +279,6 @@ class Sensor:
             raise other_process_error("Sensor")
         if self._is_closed:
             raise closed_error("Sensor")
-
-    def _usual_sampling(self) -> Sampling:
-        """Return the samples that most pings need for the tolerance."""
-        asked = sampling_at(self.sonar, typical_level(self.tolerance))
-        return fitted_sampling(self.sonar, asked, beam_shape(self.sonar, self.acoustics))
 
     def _stage(self, sampling: Sampling) -> Stage:
         # hosts draw as far up and down as the main lobe receives

@@ -15,9 +15,8 @@ from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.pipeline import make_ping
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.live.command_line import rounded_pose_numbers
-from sonar_gl.live.frame import LiveFrame, Surface
+from sonar_gl.live.frame import LiveFrame, Surface, body_number
 from sonar_gl.live.pictures import picture_of, pixel_cells, pixels_of, still_of
-from sonar_gl.live.readings import body_number
 from sonar_gl.live.settings import LiveSettings
 from sonar_gl.live.simulators import SimulatorPool
 from sonar_gl.live.sonar_motion import TimedPose

@@ -61,8 +61,6 @@ def outlined(picture: np.ndarray, mask: np.ndarray, color: tuple[int, int, int])
 
     Gaps of a few pixels between them, as speckle leaves, are not outlined.
 
-    Parameters
-    ----------
     picture : (H, W, 3) uint8
     mask : (H, W) bool
     color : RGB, 0..255

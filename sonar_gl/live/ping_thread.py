@@ -30,8 +30,6 @@ class PingThread:
 
     All methods may be called from any thread. The errors of a closed one are those of its LiveSession.
 
-    Parameters
-    ----------
     lock : RLock of the session, released while the thread waits, pings and does jobs
     ping : makes a ping; returns whether the next may follow at the rate, else it follows after RETRY_S
     max_rate_hz : returns the pings per second at most

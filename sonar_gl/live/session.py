@@ -23,13 +23,20 @@ from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.live.command_line import SceneSource
-from sonar_gl.live.frame import LiveFrame, LiveState, Reading, Surface
+from sonar_gl.live.frame import (
+    LiveFrame,
+    LiveState,
+    Reading,
+    Surface,
+    body_number,
+    check_bin,
+    reading_of,
+)
 from sonar_gl.live.key_motion import SPEED_M_S, TURN_RATE_RAD_S, moved
 from sonar_gl.live.live_sonar import FrameRequest, LiveSonar
 from sonar_gl.live.output import DEFAULT_FOLDER, LiveOutput
 from sonar_gl.live.pictures import pixel_cells, pixels_of
 from sonar_gl.live.ping_thread import PingThread
-from sonar_gl.live.readings import body_number, check_bin, reading_of
 from sonar_gl.live.settings import LiveSettings, SettingsTrial
 from sonar_gl.live.sonar_motion import SonarMotion
 from sonar_gl.ping import Ping
@@ -41,6 +48,8 @@ logger = logging.getLogger(__name__)
 
 class LiveSession:
     """Pings a scene in a thread of its own while somebody listens. Use it in a `with` block, or call `close()`.
+
+    Raises Error if there is no pose, or the first ping fails.
 
     All methods may be called from any thread, and from listeners.
 
@@ -58,11 +67,6 @@ class LiveSession:
     Attributes
     ----------
     output : LiveOutput, which records pings, saves pictures, and states command lines
-
-    Raises
-    ------
-    Error
-        if there is no pose, or the first ping fails.
     """
 
     def __init__(

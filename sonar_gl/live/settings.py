@@ -33,7 +33,7 @@ DEFAULT_HEIGHT = 640
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Everything about the pings of a live session but where the sonar and the bodies are.
+    """Everything about the pings of a live session but where the sonar and the bodies are; Error if a part is invalid.
 
     Parameters
     ----------
@@ -50,11 +50,6 @@ class LiveSettings:
     form : "fan", seen from above, or "polar", a column for each beam, port on the left, far ranges at the top
     height : of the picture, pixels
     max_rate_hz : pings per second at most
-
-    Raises
-    ------
-    Error
-        if one of them is invalid.
 
     >>> LiveSettings("p900-45").changed(range_m=20.0).device.range_max_m
     20.0

@@ -35,20 +35,13 @@ WAIT_S = 0.2  # between looks at whether a callback has failed
 class LiveView:
     """A page and the session behind it. Use it in a `with` block, or call `close()`.
 
+    Raises Error if the extra `live` is missing, or the page cannot listen there.
+
     Parameters
     ----------
     session : LiveSession, which is closed with the page
     host, port : to listen at; if the port is taken, the page takes another
     on_ping : function (Ping), called with each ping in a thread of its own; None for none
-
-    Attributes
-    ----------
-    session : LiveSession
-
-    Raises
-    ------
-    Error
-        if the extra `live` is missing, or the page cannot listen there.
     """
 
     def __init__(

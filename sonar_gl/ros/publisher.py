@@ -15,13 +15,7 @@ from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind, check_whole_number, is_iterable, unknown_body_error
-from sonar_gl.core.errors import (
-    Error,
-    MachineError,
-    closed_error,
-    copied_error,
-    other_process_error,
-)
+from sonar_gl.core.errors import Error, MachineError, closed_error, copied_error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.no_echo import NoEchoWarning

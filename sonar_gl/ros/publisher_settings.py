@@ -95,7 +95,7 @@ class PoseSource:
 
 @dataclass(frozen=True)
 class PublisherSettings:
-    """What a publisher sends and follows.
+    """What a publisher sends and follows; raise Error if a setting is invalid.
 
     Parameters
     ----------
@@ -115,11 +115,6 @@ class PublisherSettings:
         for 32, and beyond one perspective view a multiple of the views as columns; `height` and `width` of the message
         state how many
     tolerance, seed : as for `Simulator` and `Simulator.ping`
-
-    Raises
-    ------
-    Error
-        if a setting is invalid.
     """
 
     name: str = "sonar"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonar_gl.core.checks import check_whole_number
 from sonar_gl.scene.scene import Body, Scene
 
 MAX_TRIANGLES = 200_000
@@ -34,7 +33,6 @@ def browser_meshes(scene: Scene, max_triangles: int = MAX_TRIANGLES) -> list[Bro
     Bodies with many triangles lose most. Where there are more bodies than `max_triangles` / 12, the smallest are left
     out.
     """
-    check_whole_number("max_triangles", max_triangles, FEWEST)
     bodies = list(scene.bodies)
     if len(bodies) > max_triangles // FEWEST:
         largest = sorted(

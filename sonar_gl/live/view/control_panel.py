@@ -265,9 +265,7 @@ class ControlPanel:
                 "picture in 3D", True, hint="On the upper face of the fan; none while the form is polar."
             )
             marks = gui.add_checkbox(
-                "range marks",
-                True,
-                hint="Ranges and azimuths, on the page alone: files lack them.",
+                "range marks", True, hint="Ranges and azimuths, on the page alone: files lack them."
             )
         self._actions.connect(picture, on_picture)
         self._actions.connect(marks, on_marks)

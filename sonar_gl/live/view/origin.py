@@ -16,8 +16,6 @@ SERVER_LOGGER, NO_REQUEST = "websockets.server", "opening handshake failed"  # o
 def is_other_site(origin: str | None, host: str | None, listens_at: str) -> bool:
     """Return whether a request comes from a web site other than the page itself.
 
-    Parameters
-    ----------
     origin : header `Origin`, which browsers send and no script can change; None for programs, which may do all
     host : header `Host`: how the browser named this machine
     listens_at : address that the page listens at

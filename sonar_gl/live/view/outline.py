@@ -25,9 +25,7 @@ def fan_outline(sonar: Sonar) -> np.ndarray:
     The volume is between the outer beams, the −3 dB edges in elevation, and the ranges of the sonar. A dashed
     middle is not among its edges: `fan_arcs` draws it.
 
-    Returns
-    -------
-    (N, 2, 3) float32, ends of line segments, metres
+    Returns (N, 2, 3) float32, ends of line segments, metres.
 
     >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> float(np.linalg.norm(fan_outline(load_sonar("p900-45").with_range(20.0)), axis=2).max().round(3))
@@ -112,9 +110,6 @@ class PictureSector:
     def all_of(cls, geometry: FanGeometry, elevation_rad: float, rows: int) -> list[PictureSector]:
         """Return the parts of a picture, starboard first.
 
-        Parameters
-        ----------
-        geometry : FanGeometry of the picture
         elevation_rad : of the cone
         rows : of pixels up to the last range
         """

@@ -132,9 +132,7 @@ class ViewerPage:
             if event.client is not None:
                 state = BrowserState.read(self._ping_panel.browser_state.value)
                 self._actions.ask(
-                    event.client,
-                    lambda: self._note(event.client_id, state),
-                    ("state", event.client_id),
+                    event.client, lambda: self._note(event.client_id, state), ("state", event.client_id)
                 )
 
     def _welcome(self, client) -> None:
@@ -168,14 +166,6 @@ class ViewerPage:
             self._reader = client_id
         if state.clicked is not None and state.clicks != before.clicks:
             self._click(state.clicked)
-
-    def _awake(self, now_s: float) -> dict[int, BrowserState]:
-        """Return the states of browsers that have told theirs lately, by id."""
-        return {
-            client_id: state
-            for client_id, (state, told_s) in self._browsers.items()
-            if now_s - told_s < SILENT_S
-        }
 
     # ---- actions --------------------------------------------------------------------------------------------
 
@@ -252,7 +242,12 @@ class ViewerPage:
         while not self._is_closed:
             self._try(self._actions.do, STEP_S)
             now_s = time.monotonic()
-            states = self._awake(now_s)
+            # of browsers that have told their state lately, by id
+            states = {
+                client_id: state
+                for client_id, (state, told_s) in self._browsers.items()
+                if now_s - told_s < SILENT_S
+            }
             for part in (self._move_by_keys, self._show_frame, self._show_pointer, self._show_state):
                 self._try(part, now_s, states)
 

@@ -132,11 +132,7 @@ class PingPanel:
 
 
 def rounded(number: float, decimals: int) -> str:
-    """Return a number with some decimals, 0 without a sign.
-
-    >>> rounded(-0.04, 1), rounded(-5.0, 2)
-    ('0.0', '-5.00')
-    """
+    """Return a number with some decimals, 0 without a sign."""
     return f"{round(number, decimals) + 0.0:.{decimals}f}"
 
 

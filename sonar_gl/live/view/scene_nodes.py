@@ -269,27 +269,19 @@ class SceneNodes:
         for part in before:
             part.node.remove()
         rows, elevation_rad = min(geometry.height, PLANE_HEIGHT), math.radians(device.elevation_fov_deg) / 2
-        self._pictures = [
-            self._add_picture(f"/sonar/picture_{number}", sector, device, picture)
-            for number, sector in enumerate(PictureSector.all_of(geometry, elevation_rad, rows))
-        ]
-
-    def _add_picture(
-        self, name: str, sector: PictureSector, device: Sonar, picture: np.ndarray
-    ) -> PicturePart:
-        pixels = sector.pixels()
-        node = self._server.scene.add_image(
-            name,
-            _with_alpha(pixels, picture),
-            sector.width_m,
-            sector.height_m,
-            format="png",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
-        put(node, device.sonar_from_head @ sector.head_from_picture)
-
-        return PicturePart(pixels, node)
+        for number, sector in enumerate(PictureSector.all_of(geometry, elevation_rad, rows)):
+            pixels = sector.pixels()
+            node = self._server.scene.add_image(
+                f"/sonar/picture_{number}",
+                _with_alpha(pixels, picture),
+                sector.width_m,
+                sector.height_m,
+                format="png",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            put(node, device.sonar_from_head @ sector.head_from_picture)
+            self._pictures.append(PicturePart(pixels, node))
 
     def _connect_gizmos(self) -> None:
         gizmo, body_gizmo = self._gizmo, self._body_gizmo
