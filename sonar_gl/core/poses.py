@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain, islice
+from array import array
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import TextIO
 
 import numpy as np
 
@@ -179,18 +181,6 @@ def _fill_poses(out: np.ndarray, numbers: np.ndarray) -> None:
 COLUMNS = ("t", "x", "y", "z", "roll", "pitch", "yaw")
 QUATERNION = "qx", "qy", "qz", "qw"  # columns that may stand in place of the three angles
 OFF_LENGTH = 1e-2  # of a unit quaternion, by the rounding of a file
-BLOCK_LINES = 20_000  # of a CSV file, read at a time
-
-
-class PoseRows(NamedTuple):
-    """Rows of a file of poses.
-
-    numbers : (N, 7) float64 in the order of COLUMNS, or (N, 8) with a QUATERNION in place of the angles
-    lines : the number of each row's line
-    """
-
-    numbers: np.ndarray
-    lines: Sequence[int]
 
 
 def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
@@ -217,13 +207,9 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     """
     path = Path(path)
     check_kind_of_file(path, pipe=True)
-    blocks, last, is_unwrapped = [], None, False
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            for rows in _read_rows(path, file):
-                is_unwrapped |= _check_rows(path, rows, last, is_unwrapped)
-                blocks.append(rows.numbers)
-                last = rows.numbers[-1]
+            numbers, lines, mistake = _read_rows(path, file)
     except OSError as why:
         raise Error(f"{path}: the file of poses must be readable ({read_error_text(why)})") from None
     except UnicodeDecodeError as why:
@@ -231,22 +217,18 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
         raise Error(
             f"{path}: the file of poses must be text in UTF-8 (got {got}; save it as UTF-8)"
         ) from None
-    except Error:
-        raise
     except ValueError as why:  # a null character in its name
         raise Error(f"{path}: the file of poses must be readable ({why})") from None
-    if not blocks:
+    if len(numbers):
+        _check_rows(path, numbers, lines)
+    if mistake is not None:  # in a line after those
+        raise mistake
+    if not len(numbers):
         raise Error(f"{path}: must hold at least one pose, under the header {','.join(COLUMNS)} (got none)")
-    count = sum(map(len, blocks))
-    times_s, poses, first = np.empty(count), np.empty((count, 4, 4)), 0
-    while blocks:  # each is released after its use, so that the poses take its place
-        numbers = blocks.pop(0)
-        stop = first + len(numbers)
-        times_s[first:stop] = numbers[:, 0]
-        fill = _fill_poses if numbers.shape[1] == len(COLUMNS) else _fill_from_quaternions
-        fill(poses[first:stop], numbers[:, 1:])
-        first = stop
-    return times_s, poses
+    poses = np.empty((len(numbers), 4, 4))
+    fill = _fill_poses if numbers.shape[1] == len(COLUMNS) else _fill_from_quaternions
+    fill(poses, numbers[:, 1:])
+    return numbers[:, 0].copy(), poses
 
 
 def rotation_rows(x, y, z, w) -> tuple[tuple, ...]:
@@ -267,109 +249,38 @@ def _fill_from_quaternions(out: np.ndarray, numbers: np.ndarray) -> None:
     out[:, :3, :3] = np.transpose(rotation_rows(*unit), (2, 0, 1))
 
 
-def _read_rows(path: Path, file: TextIO) -> Iterator[PoseRows]:
-    """Yield the rows of a file of poses in blocks.
+def _read_rows(path: Path, file: TextIO) -> tuple[np.ndarray, array, Error | None]:
+    """Return the rows of a file of poses up to the first line that is none, and the error about that, if there is one.
 
-    A block of plain numbers is parsed as a whole. From a block with anything else on, such as quotes, or a mistake,
-    cell by cell: that takes ten times as long, and the message can name the cell.
+    The rows are (N, 7) float64 in the order of COLUMNS, or (N, 8) with a QUATERNION in place of the angles. Between
+    them and the error stand the numbers of their lines.
     """
-    columns, n_columns, n_lines = None, 0, 0
-    while columns is None:
-        rows = csv.reader(file, skipinitialspace=True)
-        cells = _next_cells(path, rows, n_lines)
-        if cells is None:
-            return
-        n_lines += rows.line_num
-        columns = _column_indices(f"{path}: line {n_lines}", [cell.strip() for cell in cells])
-        n_columns = len(cells)
-    while lines := list(islice(file, BLOCK_LINES)):
-        rows = _parse_plain(lines, columns, n_columns, n_lines)
-        if rows is None:
-            yield from _parse_cells(path, chain(lines, file), columns, n_columns, n_lines)
-            return
-        if len(rows.numbers):
-            yield rows
-        n_lines += len(lines)
-
-
-def _next_cells(path: Path, rows, n_lines: int) -> list[str] | None:
-    """Return the cells of the next line that is not empty; None at the end."""
+    numbers, lines, columns, mistake = array("d"), array("q"), dict.fromkeys(COLUMNS), None
+    rows = csv.reader(file, skipinitialspace=True)
+    filled = (cells for cells in rows if any(map(str.strip, cells)))
     try:
-        return next((cells for cells in rows if any(cell.strip() for cell in cells)), None)
+        header = next(filled, COLUMNS)
+        columns = _column_indices([cell.strip() for cell in header])
+        pick = itemgetter(*columns.values())
+        for cells in filled:
+            if len(cells) != len(header):
+                raise Error(f": must have {len(header)} cells, as the header has (got {len(cells)})")
+            numbers.extend(_finite_numbers(pick(cells), columns))
+            lines.append(rows.line_num)
     except csv.Error as why:
-        raise Error(f"{path}: line {n_lines + rows.line_num}: must be CSV ({why})") from None
+        mistake = Error(f"{path}: line {rows.line_num}: must be CSV ({why})")
+    except Error as why:
+        mistake = Error(f"{path}: line {rows.line_num}{why}")
+    return np.array(numbers).reshape(-1, len(columns)), lines, mistake
 
 
-def _parse_plain(lines: list[str], columns: dict[str, int], n_columns: int, n_lines: int) -> PoseRows | None:
-    """Return the rows of lines that hold plain finite numbers; None if there is anything else in them.
-
-    n_lines : number of lines before
-    """
-    numbers_of_lines = range(n_lines + 1, n_lines + 1 + len(lines))
-    n_commas = [line.count(",") for line in lines]
-    if n_commas.count(n_columns - 1) < len(lines):
-        filled = [k for k, line in enumerate(lines) if line.strip(", \t\r\n")]
-        numbers_of_lines, lines = [numbers_of_lines[k] for k in filled], [lines[k] for k in filled]
-        if any(n_commas[k] != n_columns - 1 for k in filled):
-            return None
-    if not lines:
-        return PoseRows(np.empty((0, len(columns))), ())
-    if any('"' in line for line in lines):
-        return None
-    try:
-        numbers = np.loadtxt(lines, delimiter=",", comments=None, usecols=list(columns.values()), ndmin=2)
-    except ValueError:
-        return None
-    if len(numbers) != len(lines) or not np.isfinite(numbers).all():
-        return None
-    return PoseRows(numbers, numbers_of_lines)
-
-
-def _parse_cells(
-    path: Path, lines: Iterable[str], columns: dict[str, int], n_columns: int, n_lines: int
-) -> Iterator[PoseRows]:
-    """Yield the rows of lines cell by cell; raise an `Error` for the first cell that is wrong, after those before."""
-    rows = csv.reader(lines, skipinitialspace=True)
-    while True:
-        numbers, numbers_of_lines, mistake, is_end = [], [], None, False
-        try:
-            while len(numbers) < BLOCK_LINES and not is_end:
-                cells = _next_cells(path, rows, n_lines)
-                is_end = cells is None
-                if is_end:
-                    break
-                location = f"{path}: line {n_lines + rows.line_num}"
-                if len(cells) != n_columns:
-                    raise Error(
-                        f"{location}: must have {n_columns} cells, as the header has (got {len(cells)})"
-                    )
-                numbers.append([_number(location, name, cells[at]) for name, at in columns.items()])
-                numbers_of_lines.append(n_lines + rows.line_num)
-        except Error as why:
-            mistake = why
-        if numbers:
-            yield PoseRows(np.array(numbers), numbers_of_lines)
-        if mistake is not None:
-            raise mistake
-        if is_end:
-            return
-
-
-def _check_rows(path: Path, rows: PoseRows, last: np.ndarray | None, is_unwrapped: bool) -> bool:
-    """Raise an `Error` for the first row that no ping can have, or whose time falls; return whether any is unwrapped.
-
-    Parameters
-    ----------
-    last : numbers of the row before, None if there is none
-    is_unwrapped : whether a warning of unwrapped angles was given
-    """
-    numbers = rows.numbers
-    before = np.concatenate([numbers[:1] if last is None else last[None], numbers[:-1]])
+def _check_rows(path: Path, numbers: np.ndarray, lines: Sequence[int]) -> None:
+    """Raise an `Error` for the first row that no ping can have, or whose time falls; warn of unwrapped angles."""
+    before = np.concatenate([numbers[:1], numbers[:-1]])
     angles, is_quaternion = numbers[:, 4:], numbers.shape[1] > len(COLUMNS)
     is_beyond = (np.abs(angles) > TURN_RAD).any(axis=1) & (not is_quaternion)
     is_jump = (np.abs(angles - before[:, 4:]) >= np.pi).any(axis=1)
-    if last is None:
-        is_jump[0] = True
+    is_jump[0] = True
     is_wrong = is_beyond & (is_jump | (np.abs(angles) > MAX_UNWRAPPED_RAD).any(axis=1))
     if is_quaternion:
         lengths = np.linalg.norm(angles, axis=1)
@@ -379,7 +290,7 @@ def _check_rows(path: Path, rows: PoseRows, last: np.ndarray | None, is_unwrappe
     is_far = (np.abs(numbers[:, 1:4]) > MAX_POSITION_M).any(axis=1)
     if (wrong := np.flatnonzero(is_wrong | falls | is_late | is_far)).size:
         at = wrong[0]
-        location = f"{path}: line {rows.lines[at]}"
+        location = f"{path}: line {lines[at]}"
         if is_late[at]:
             raise Error(
                 f"{location}, column t: must lie in {-MAX_TIME_S:g}..{MAX_TIME_S:g} (got {numbers[at, 0]:g}; give "
@@ -403,16 +314,14 @@ def _check_rows(path: Path, rows: PoseRows, last: np.ndarray | None, is_unwrappe
             f"{location}: pose angles must be radians, within ±2π or unwrapped, in steps of less than π from line "
             f"to line (got roll pitch yaw = {roll:g} {pitch:g} {yaw:g}; if these are degrees, multiply by π/180)"
         )
-    if is_beyond.any() and not is_unwrapped:
-        at = rows.lines[np.flatnonzero(is_beyond)[0]]
+    if is_beyond.any():
         warn_caller(
-            f"{path}: line {at}: angles go beyond ±2π in small steps, and are taken as unwrapped radians (if they "
-            "are degrees, multiply by π/180)"
+            f"{path}: line {lines[is_beyond.argmax()]}: angles go beyond ±2π in small steps, and are taken as "
+            "unwrapped radians (if they are degrees, multiply by π/180)"
         )
-    return bool(is_beyond.any())
 
 
-def _column_indices(location: str, header: list[str]) -> dict[str, int]:
+def _column_indices(header: list[str]) -> dict[str, int]:
     """Return a dict from the name of each column to its index in a line: COLUMNS, or those with a QUATERNION."""
     has_quaternion = set(QUATERNION) & set(header) and not set(COLUMNS) <= set(header)
     names = (*COLUMNS[:4], *QUATERNION) if has_quaternion else COLUMNS
@@ -423,18 +332,24 @@ def _column_indices(location: str, header: list[str]) -> dict[str, int]:
         if header.count(name) != 1:
             what = "more than once" if name in header else "not there"
             raise Error(
-                f"{location}: column {name} is {what}; the first line must name the columns {','.join(names)}{others} "
+                f": column {name} is {what}; the first line must name the columns {','.join(names)}{others} "
                 f"(got {shown(','.join(header))}{cure})"
             )
     return {name: header.index(name) for name in names}
 
 
-def _number(location: str, name: str, cell: str) -> float:
-    """Return the finite number of a cell."""
+def _finite_numbers(cells: Sequence[str], names: Iterable[str]) -> list[float]:
+    """Return the numbers of the cells of some columns; raise an `Error` for the first that is none, or not finite."""
+    with suppress(ValueError):
+        numbers = [*map(float, cells)]
+        if all(map(math.isfinite, numbers)):
+            return numbers
+    name, cell = next(pair for pair in zip(names, cells, strict=True) if not _is_finite(pair[1]))
+    raise Error(f", column {name}: must be a finite number (got {shown(cell.strip())})")
+
+
+def _is_finite(cell: str) -> bool:
     try:
-        number = float(cell)
+        return math.isfinite(float(cell))
     except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise Error(f"{location}, column {name}: must be a finite number (got {shown(cell.strip())})")
-    return number
+        return False

@@ -1,4 +1,4 @@
-"""Files of poses: both ways of parsing, and what is refused."""
+"""Poses, and files of them: how they are parsed, and what is refused."""
 
 import warnings
 
@@ -58,8 +58,7 @@ def random_rows(count):
     ids=["plain", "spaces", "quotes", "digits"],
 )
 @pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
-def test_numbers_are_those_of_the_file(read, monkeypatch, cell, ending):
-    monkeypatch.setattr(module, "BLOCK_LINES", 7)
+def test_numbers_are_those_of_the_file(read, cell, ending):
     rows = random_rows(50)
     lines = [",".join(map(cell, row)) for row in rows.tolist()]
     lines[20:20] = ["", ",,,,,,", "  "]
@@ -134,17 +133,7 @@ def test_a_pose_that_rounding_has_bent():
         assert f"(its 3x3 part scales, shears or reflects; {advice}" in error_of(check_pose, bent)
 
 
-def test_plain_rows_are_not_parsed_cell_by_cell(read, monkeypatch):
-    """That takes ten times as long."""
-    monkeypatch.setattr(module, "_number", None)
-    rows = random_rows(50)
-    times_s, _ = read("", *(",".join(map(repr, row)) for row in rows.tolist()), "")
-    np.testing.assert_array_equal(times_s, rows[:, 0])
-    with pytest.raises(TypeError):
-        read('"0",0,0,0,0,0,0')
-
-
-@pytest.mark.parametrize("odd", ["", '"0",0,0,0,0,0,0'], ids=["plain", "cell by cell"])
+@pytest.mark.parametrize("odd", ["", '"0",0,0,0,0,0,0'], ids=["plain", "quotes"])
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -166,9 +155,7 @@ def test_plain_rows_are_not_parsed_cell_by_cell(read, monkeypatch):
         ),
     ],
 )
-@pytest.mark.parametrize("block", [4, 1000])
-def test_the_first_mistake_is_named_by_its_line(message, monkeypatch, odd, line, words, block):
-    monkeypatch.setattr(module, "BLOCK_LINES", block)
+def test_the_first_mistake_is_named_by_its_line(message, odd, line, words):
     lines = [odd, *(f"{t},0,0,0,0,0,0" for t in range(1, 31)), line, "50,what,0,0,0,0,0", "1,0,0,0,0,0,99"]
     assert message(*lines) == words
 
@@ -239,9 +226,7 @@ def test_columns_go_by_their_names(tmp_path):
 
 
 @pytest.mark.parametrize("column", [0, 1, 2])
-@pytest.mark.parametrize("block", [5, 1000])
-def test_unwrapped_angles_are_those_wrapped(tmp_path, monkeypatch, column, block):
-    monkeypatch.setattr(module, "BLOCK_LINES", block)
+def test_unwrapped_angles_are_those_wrapped(tmp_path, column):
     angles = np.zeros((40, 3))
     angles[:, column] = -3.1 * np.arange(40)
     path = tmp_path / "p.csv"
@@ -356,9 +341,7 @@ def test_angles_beyond_a_turn_are_no_radians():
             pose(0, 0, 0, *angles)
 
 
-def test_unwrapped_angles_are_warned_of_once(tmp_path, monkeypatch):
-    """Also where blocks between have none."""
-    monkeypatch.setattr(module, "BLOCK_LINES", 5)
+def test_unwrapped_angles_are_warned_of_once(tmp_path):
     yaws = [0, 3, 6, 9, 6, 3, 0, 0, 0, 0, 3, 6, 9, 6, 3]
     path = tmp_path / "p.csv"
     path.write_text("\n".join([HEADER, *(f"{k},0,0,0,0,0,{yaw}" for k, yaw in enumerate(yaws))]))
