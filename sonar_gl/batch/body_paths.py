@@ -19,6 +19,8 @@ from sonar_gl.core.poses import read_poses
 class BodyPath:
     """The poses of a CSV file as a path, which begins and ends with them.
 
+    Raises Error if the file cannot be read, or is of one time alone; names file, line and column.
+
     Parameters
     ----------
     file : as for `sonar_gl.core.poses.read_poses`
@@ -26,11 +28,6 @@ class BodyPath:
     Attributes
     ----------
     begin_s, end_s : its first and last time
-
-    Raises
-    ------
-    Error
-        if the file cannot be read, or is of one time alone; names file, line and column.
     """
 
     def __init__(self, file: Path):

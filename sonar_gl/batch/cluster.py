@@ -36,16 +36,11 @@ M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -3, -1  # of malloc.h
 class Cluster:
     """The workers of a cluster, which run the steps of a batch as the processes of a `Pool` do.
 
-    Parameters
-    ----------
+    Raises Error if Dask is not installed.
+
     address : address of a Dask scheduler
     job, url : the job and the folder of the batch
     any_system : as for `Batch`
-
-    Raises
-    ------
-    Error
-        if Dask is not installed.
     """
 
     def __init__(self, address: str, job: Job, url: str, any_system: bool = False):
@@ -69,8 +64,6 @@ class Cluster:
     ) -> list[int]:
         """Make parts, and return those that workers died of. After Ctrl-C none are returned.
 
-        Parameters
-        ----------
         done : called with the record of each part as it is done
         warn : called with the text of a warning
         """
@@ -125,8 +118,10 @@ def run_on_cluster(
     `allowed-failures`: the second, if the scheduler was started with
     DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=1, otherwise the fourth.
 
-    Parameters
-    ----------
+    Raises Error if there is no scheduler, no worker, or one with another version of this package or several threads;
+    KeyboardInterrupt after the parts in progress are done, the second time at once; and whatever `make` raises, without
+    waiting for other parts in progress.
+
     address : address of the scheduler, such as tcp://login1:8786
     make : function of a part that workers can import, or a functools.partial of one. A worker always runs it
         in the same thread. It may run again for the same part if the worker or the driver dies
@@ -134,15 +129,6 @@ def run_on_cluster(
     done : called in this thread with each part and the result of `make`, as parts finish
     killed : called likewise with a part that is given up, and why
     timeout_s : how long to wait for the scheduler, and for the first worker
-
-    Raises
-    ------
-    Error
-        if there is no scheduler, no worker, or one with another version of this package or several threads.
-    KeyboardInterrupt
-        after the parts in progress are done; immediately the second time.
-    Exception
-        whatever `make` raises; other parts in progress are not waited for.
     """
     with _connected(address, timeout_s) as client:
         progress = _Progress(client, address, make, done, killed)

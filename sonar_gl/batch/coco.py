@@ -38,6 +38,8 @@ def coco_records(
 
     Bodies that are one instance have the number of the first one.
 
+    Raises Error if a number has no class.
+
     Parameters
     ----------
     ids : (H, W) uint16, number of the body at each pixel, 0 for none
@@ -54,11 +56,6 @@ def coco_records(
     annotations : by rising number of the body: id = image_id · 65536 + body_id, image_id, category_id, bbox
         [x, y, w, h] and area in whole pixels, iscrowd, segmentation; and fields that COCO does not have:
         body_id, body (its name), echo and own_share
-
-    Raises
-    ------
-    Error
-        if a number has no class.
     """
     ids = np.asarray(ids)
     height, width = ids.shape
@@ -112,16 +109,11 @@ def coco_lines(image: dict, annotations: list[dict]) -> bytes:
 def coco_json(parts: Iterable[Callable], categories: list[dict], info: dict) -> Iterator[bytes]:
     """Yield the text of one file of instances, joined from the files of parts. Memory use is that of a line.
 
-    Parameters
-    ----------
+    Raises Error if a line was not written by `coco_lines`, or is incomplete.
+
     parts : functions that open the files of parts for reading bytes, in order. Each file is read twice
     categories : id (from 1 on), name and supercategory of each class
     info : plain values; a date, for example, would make the bytes differ from run to run
-
-    Raises
-    ------
-    Error
-        if a line was not written by `coco_lines`, or is incomplete.
     """
     parts = list(parts)
     yield _json({"info": info, "licenses": [], "categories": categories})[:-1]

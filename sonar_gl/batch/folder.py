@@ -121,6 +121,8 @@ def _as_error(url: str):
 class Folder:
     """A folder at a path or URL.
 
+    Raises Error if it is no folder, or cannot be reached or created, with the reason.
+
     Parameters
     ----------
     url : path or URL
@@ -131,11 +133,6 @@ class Folder:
     url : path or URL, for other libraries
     is_local : whether it is on this machine
     fs : file system of fsspec
-
-    Raises
-    ------
-    Error
-        if it is no folder, or cannot be reached or created, with the reason.
     """
 
     def __init__(self, url: str, create: bool = True):
@@ -237,10 +234,7 @@ class Folder:
     def get_record(self, name: str, cure: str) -> dict | None:
         """Return the values of a record, or None if it does not exist.
 
-        Raises
-        ------
-        DamagedRecordError
-            if it is not as it was written; the message ends with the cure.
+        Raises DamagedRecordError if it is not as it was written; the message ends with the cure.
         """
         if (data := self.get(name)) is None:
             return None

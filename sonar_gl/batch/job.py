@@ -109,8 +109,6 @@ PathFiles = Annotated[
 class SonarTable(Table):
     """One sonar on the vehicle.
 
-    Attributes
-    ----------
     sonar : name of a preset, or path of a .toml file
     name : name of the sonar's arrays and topics; by default made from the name in its data sheet
     range_m, bins : replace those of the data sheet
@@ -127,8 +125,6 @@ class SonarTable(Table):
 class MovedTable(Table):
     """Bodies whose pose, size or reflectivity changes from ping to ping.
 
-    Attributes
-    ----------
     names : names of bodies, with the wildcards * and ?
     apart : each body, or model whose name one of `names` matches, has its own random draw; otherwise all move together
     one_of : one of these bodies or models at a time is there, each as often; the others are absent
@@ -178,8 +174,6 @@ class MovedTable(Table):
 class VaryTable(Table):
     """What changes from ping to ping, by uniform random draws.
 
-    Attributes
-    ----------
     hold_pings : consecutive pings of a path that have the draws of the first of them; None for new draws in each ping
     bodies : bodies that move
     water : fields of `Water`
@@ -195,8 +189,6 @@ class VaryTable(Table):
 class LabelsTable(Table):
     """Labels to store.
 
-    Attributes
-    ----------
     layers : some of LAYERS
     classes : name of each class, in the order of their numbers, and the bodies in it, with the wildcards
         * and ?
@@ -227,8 +219,6 @@ class LabelsTable(Table):
 class ArraysTable(Table):
     """How the store keeps intensities.
 
-    Attributes
-    ----------
     mantissa_bits : bits of mantissa; 23 keeps float32 as it is, and each bit less doubles the error
     """
 
@@ -301,8 +291,6 @@ class OpticalTable(Table):
 class Job(Table):
     """A job file as read. `requests.BatchRequests` builds the objects that it describes.
 
-    Attributes
-    ----------
     only, without : names of bodies with the wildcards * and ?; the others, or these, are left out of all scenes
     surface_z_m : height of the water's surface in all scenes
     where : the job file's name in error messages
@@ -372,10 +360,7 @@ class Job(Table):
 def read_job(path) -> Job:
     """Read a job from a TOML file.
 
-    Raises
-    ------
-    Error
-        if the file cannot be read or the job is invalid; names file, table and key of every fault.
+    Raises Error if the file cannot be read or the job is invalid; names file, table and key of every fault.
     """
     path = Path(path)
     data = read_toml(path, "the job file")

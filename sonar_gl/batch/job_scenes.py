@@ -53,16 +53,11 @@ class JobScenes(Sequence):
     Only the last KEPT ones are in memory: a further use of another one reads it again. The first time, they are read
     and checked in the order of the job.
 
-    Parameters
-    ----------
+    Raises Error at the first use, if a scene cannot be loaded, or lacks a floor on which bodies rest; and once all have
+    been read, if the job names what no scene has, or leaves nothing of a scene.
+
     job : Job
     paths : of each table `vary.bodies`
-
-    Raises
-    ------
-    Error
-        at the first use, if a scene cannot be loaded, or lacks a floor on which bodies rest; and once all have been
-        read, if the job names what no scene has, or leaves nothing of a scene.
     """
 
     def __init__(self, job: Job, paths: list[list[BodyPath]]):

@@ -25,8 +25,6 @@ from sonar_gl.sonar.sonar_files import load_sonar, split_sonar
 class JobSettings:
     """What all pings of a job have in common.
 
-    Attributes
-    ----------
     sonars : name -> Sonar, in the order of the job
     mounts : name -> (4, 4) vehicle_from_sonar
     acoustics, noise : those of the job, before variation
@@ -41,10 +39,7 @@ class JobSettings:
 def load_settings(job: Job) -> JobSettings:
     """Return the settings of a job, whose sonars may be in files.
 
-    Raises
-    ------
-    Error
-        if one is unknown or invalid, or they do not go with each other; the message names file and table.
+    Raises Error if one is unknown or invalid, or they do not go with each other; the message names file and table.
     """
     sonars, mounts = _load_sonars(job)
     noise, acoustics = _build_noise(job), _build_acoustics(job)

@@ -42,8 +42,6 @@ def table_name(part: int) -> str:
 class Manifest:
     """The division of a job's pings into parts, and what makes them. It follows from the job and the system.
 
-    Attributes
-    ----------
     job : the job as plain values
     digest : that of `JobScenes`
     n_pings, pings_per_part : number of pings in all and of each part but the last
@@ -79,8 +77,6 @@ class Manifest:
     def changed_files(self, files: dict[str, str]) -> list[str]:
         """Return the names of files that are others now: that have changed; if none has, that are new or gone.
 
-        Parameters
-        ----------
         files : those of `JobScenes` of now
         """
         both, either = {*self.files} & {*files}, {*self.files} ^ {*files}
@@ -100,12 +96,8 @@ class Manifest:
     def load(cls, folder: Folder) -> Manifest | None:
         """Read the manifest of a folder; None if there is none.
 
-        Raises
-        ------
-        DamagedRecordError
-            if it is not as it was written.
-        Error
-            if it, or the folder, was written by another version, whose pings may differ.
+        Raises DamagedRecordError if it is not as it was written; Error if it, or the folder, was written by another
+        version, whose pings may differ.
         """
         found = folder.get_record(MANIFEST_NAME, MANIFEST_CURE)
         if found is None and folder.get(OLD_MANIFEST_NAME) is not None:
@@ -127,8 +119,6 @@ class Manifest:
 def default_pings_per_part(bytes_per_ping: float, n_pings: int) -> int:
     """Return a part size large enough for a file, and small enough to be made again and to share the job.
 
-    Parameters
-    ----------
     bytes_per_ping : size of a ping's arrays before compression
     n_pings : pings of the job; their share does not depend on the number of processes, as the bytes of a batch do not
 
@@ -143,8 +133,6 @@ def default_pings_per_part(bytes_per_ping: float, n_pings: int) -> int:
 class PartRecord:
     """What a finished part consists of. Its file is written after all others of the part.
 
-    Attributes
-    ----------
     batch : `Manifest.identity` of its batch
     part : number of the part
     first, pings : number of its first ping, and of its pings
@@ -178,8 +166,6 @@ class PartRecord:
 class DoneRecord:
     """What a complete batch consists of beside its parts.
 
-    Attributes
-    ----------
     parts, pings : their numbers
     files : name of each file that belongs to no part -> SHA-256
     """
@@ -220,6 +206,8 @@ def part_records(folder: Folder, manifest: Manifest) -> Iterator[PartRecord]:
 def check(folder: Folder, progress: Callable) -> list[str]:
     """Compare all files of a batch with their checksums.
 
+    Raises Error if the folder holds no batch, or one of another version.
+
     Parameters
     ----------
     progress : function that turns the numbers of parts into a context manager of an iterable of them
@@ -228,11 +216,6 @@ def check(folder: Folder, progress: Callable) -> list[str]:
     -------
     list of str, one line for each file that is missing or changed; for a batch that is not complete, a line
     that says so
-
-    Raises
-    ------
-    Error
-        if the folder holds no batch, or one of another version.
     """
     found = recorded_parts(folder)
     faults, done, manifest = [], None, None
@@ -259,8 +242,6 @@ def check(folder: Folder, progress: Callable) -> list[str]:
 def discard_damaged(folder: Folder, manifest: Manifest, report: Callable[[str], None]) -> None:
     """Delete the records of parts with missing or changed files, so that the parts are made again.
 
-    Parameters
-    ----------
     report : function that is given a line for each such file
     """
     try:

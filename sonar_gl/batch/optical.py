@@ -24,6 +24,8 @@ class OpticalCamera:
     Bodies have the colours of their meshes; a mesh without colours is gray by its reflectivity. Both sides of
     a face are visible. Simulators may exist in the same process: the current context stays current.
 
+    Raises Error if there is no usable OpenGL or pyrender, or the image is larger than the driver supports.
+
     Parameters
     ----------
     scene : Scene; its bubbles are not rendered
@@ -36,11 +38,6 @@ class OpticalCamera:
     ----------
     scene, camera : as given
     context : its OpenGL context; None once it is closed
-
-    Raises
-    ------
-    Error
-        if there is no usable OpenGL or pyrender, or the image is larger than the driver supports.
     """
 
     def __init__(self, scene, camera, near_m: float = 0.1, far_m: float = 100.0, device: int | None = None):
@@ -83,6 +80,8 @@ class OpticalCamera:
     def __call__(self, pose, bodies=None) -> tuple[np.ndarray, np.ndarray]:
         """Render one image.
 
+        Raises Error if a pose is invalid, or a name is unknown.
+
         Parameters
         ----------
         pose : (4, 4) world_from_camera; as for a sonar x is forward, y to port, z up
@@ -92,11 +91,6 @@ class OpticalCamera:
         -------
         rgb : (H, W, 3) uint8, the first row on top
         depth : (H, W) float32, metres along the optical axis at the centre of each pixel, 0 where no body is
-
-        Raises
-        ------
-        Error
-            if a pose is invalid, or a name is unknown.
         """
         if self.context is None:
             raise closed_error("OpticalCamera")

@@ -102,8 +102,6 @@ class CountsOutput(Output):
 class ArraysOutput(Output):
     """Intensities and labels in the store.
 
-    Attributes
-    ----------
     arrays : sonar -> name -> (pings of the part, ...) array
     """
 
@@ -199,8 +197,6 @@ class PicturesOutput(CountsOutput):
 def own_shares(bins: np.ndarray, ping: Ping, quiet: Ping, power: np.ndarray | None) -> np.ndarray:
     """Return the share of each body's own echo in all that its bins hold in the mean, (bodies + 1,), by number.
 
-    Parameters
-    ----------
     bins : (B, K), number of the body in each bin, 0 for none
     ping, quiet : Ping with the labels, and the same without noise
     power : mean power of the receiver's noise, as of `receiver_power`
@@ -327,8 +323,6 @@ class OpticalOutput(Output):
 class RosOutput(CountsOutput):
     """A ROS 2 bag, one file for each part.
 
-    Parameters
-    ----------
     optical : the camera whose images also go into the bag, or None. It must get each part first
     """
 

@@ -48,6 +48,8 @@ def no_report(_kind: str, _value) -> None:
 class Batch:
     """A job and the folder of its data set, as one process needs them. Call `close()` at the end.
 
+    Raises Error if the job is invalid, or Python cannot make its store.
+
     Parameters
     ----------
     requests : of the job
@@ -58,11 +60,6 @@ class Batch:
     Attributes
     ----------
     schema, table : built once, and checked; for them every scene of the job is read
-
-    Raises
-    ------
-    Error
-        if the job is invalid, or Python cannot make its store.
     """
 
     def __init__(
@@ -142,8 +139,6 @@ def reported_warnings(
 class _Part:
     """A part that is being made.
 
-    Attributes
-    ----------
     numbers : numbers of its pings
     rows : (pings, width) rows of the ping table
     failed : number of each ping that is set aside -> why; grows
@@ -160,10 +155,7 @@ class _Part:
 class PartMaker:
     """Makes the parts of a batch. The simulators of the last scene stay open until `close()`.
 
-    Raises
-    ------
-    Error
-        from `make`, if OpenGL or a library is not that which began the batch, unless the batch allows it.
+    Raises Error from `make`, if OpenGL or a library is not that which began the batch, unless the batch allows it.
     """
 
     def __init__(self, batch: Batch):
@@ -198,18 +190,11 @@ class PartMaker:
     ) -> PartRecord:
         """Make a part and write its files, the record last.
 
-        Parameters
-        ----------
+        Raises Error if every ping of the part fails for the same reason; OSError if a file cannot be written.
+
         set_aside : numbers of pings to leave out -> why
         one_by_one : make and report each ping alone, so that it is known which one kills the process
         report : see `Report`
-
-        Raises
-        ------
-        Error
-            if every ping of the part fails for the same reason.
-        OSError
-            if a file cannot be written.
         """
         numbers = self._batch.manifest.numbers(part)
         requests = [self._batch.requests[number] for number in numbers]

@@ -26,13 +26,10 @@ MATRIX, AFFINE = 16, 12  # numbers of a (4, 4) pose, and of its upper three rows
 class PingTable:
     """The columns of the table of numbers per ping, float64.
 
-    Attributes
-    ----------
     width : length of a row
     water, noise : names of the fields that vary
     moved : bodies that move, as (scene, name)
     with_reflectivity : bodies whose reflectivity varies, as (scene, name)
-
     """
 
     def __init__(self, requests: BatchRequests):
@@ -124,8 +121,6 @@ def _rows_by_block(folder: Folder, manifest: Manifest) -> Iterator[tuple[int, np
 class PingVariable(ArraySpec):
     """An array of the store with a few numbers for each ping.
 
-    Attributes
-    ----------
     values : function of (N, width) rows of the table -> (N, ...) values
     """
 

@@ -130,8 +130,6 @@ def _die_with_parent() -> None:
 class Task:
     """A part to be made.
 
-    Attributes
-    ----------
     part : number of the part
     one_by_one : whether each ping is made alone, so that it is known which one kills a process
     set_aside : numbers of pings to leave out -> why
@@ -281,12 +279,7 @@ class Pool:
     def call(self, name: str, *arguments):
         """Run one of `steps.STEPS` in a process, and return its result. If it dies, another takes its place.
 
-        Raises
-        ------
-        Error
-            if the step fails.
-        MachineError
-            if processes die of it again and again.
+        Raises Error if the step fails; MachineError if processes die of it again and again.
         """
         for death in range(1, MAX_DEATHS_IN_STEP + 1):
             process, is_dead = self._living_process(0), False
@@ -315,19 +308,13 @@ class Pool:
     ) -> None:
         """Make parts.
 
-        Parameters
-        ----------
+        Raises, after the parts in progress are finished, Error if a step fails, such as for a full disk; MachineError if
+        processes die of a part again and again.
+
         parts : numbers of the parts, rising
         numbers : function (part) -> numbers of its pings
         done : called with the record of each part as it is done
         one_by_one : make each ping alone from the beginning, not only after a death
-
-        Raises
-        ------
-        Error
-            if a step fails, such as for a full disk; the parts in progress are finished first.
-        MachineError
-            likewise, if processes die of a part again and again.
         """
         new, again, failure = (Task(part, one_by_one) for part in parts), deque(), None
         while True:

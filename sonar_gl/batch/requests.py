@@ -25,8 +25,6 @@ from sonar_gl.noise.settings import Noise
 class BatchRequest:
     """The request for one ping of a batch, common to all sonars of the job.
 
-    Attributes
-    ----------
     number : number of the ping in the job, from 0 on
     scene : index into the job's scenes
     time_s : time of transmission
@@ -56,8 +54,6 @@ class BatchRequest:
     ) -> PingRequest:
         """Return the request for one sonar, without noise.
 
-        Parameters
-        ----------
         mount : (4, 4) vehicle_from_sonar
         labels, background, label_level_db : as in `PingRequest`
         """
@@ -78,18 +74,13 @@ class BatchRequest:
 class BatchRequests(Sequence):
     """The requests of a job, a sequence by ping number.
 
-    Attributes
-    ----------
+    Raises Error if the job names something unknown or invalid; the message names file and table. See also `JobScenes`.
+
     job : Job
     sonars, mounts, acoustics, noise : of the job, as in `JobSettings`
     scenes : JobScenes, which are read when they are first used
     trajectories : Trajectory of each table of poses
     runs : the runs of the job, in order: along each trajectory, one for each of its scenes
-
-    Raises
-    ------
-    Error
-        if the job names something unknown or invalid; the message names file and table. See also `JobScenes`.
     """
 
     def __init__(self, job: Job):

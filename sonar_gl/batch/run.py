@@ -36,8 +36,6 @@ from sonar_gl.core.signals import REPEAT_S
 class Outcome:
     """The state of a batch.
 
-    Attributes
-    ----------
     requests : the requests of the job
     n_pings : number of pings of the job
     n_made : pings in the store
@@ -87,8 +85,6 @@ def devices_of(workers: int | None, devices) -> list[int | None]:
 class RunSettings:
     """How a batch is run.
 
-    Attributes
-    ----------
     resume : continue a batch that is in the folder
     mend : compare checksums, make parts with damaged files again, and write the manifest again if it is damaged
     any_system : make parts also with other OpenGL or libraries than those that began the batch
@@ -111,19 +107,13 @@ def run(
 ) -> Outcome:
     """Make all pings of a job that are not in the folder yet, and finalize the batch.
 
-    Parameters
-    ----------
+    Raises Error if the job or the folder is unsuitable, or parts cannot be made; MachineError if processes die again
+    and again.
+
     url : folder of the batch
     devices : EGL device of each process, see `devices_of`
     report : function that shows a line of text
     progress : function (pings in all, pings done) -> context manager of a function (further pings)
-
-    Raises
-    ------
-    Error
-        if the job or the folder is unsuitable, or parts cannot be made.
-    MachineError
-        if processes die again and again.
     """
     folder = Folder(url, create=False)
     if "memory" in folder.fs.protocol:
@@ -164,10 +154,7 @@ def run(
 def _begin(batch: Batch, settings: RunSettings, call: Callable, report: Callable[[str], None]) -> Manifest:
     """Return the manifest in the folder, or make a new one.
 
-    Raises
-    ------
-    Error
-        if there is a batch that shall not be resumed, or one of another job, or other files.
+    Raises Error if there is a batch that shall not be resumed, or one of another job, or other files.
     """
     folder = batch.folder
     finished = _finished_batches(folder) if settings.mend else set()
@@ -237,8 +224,6 @@ def _make_parts(
 ) -> None:
     """Make parts and add them to the outcome: by a cluster, if there is one, and what it leaves by processes.
 
-    Parameters
-    ----------
     numbers : of the pings of a part, see `Manifest.numbers`
     advance : function (further pings)
     """

@@ -37,8 +37,6 @@ STRONGEST = "of the strongest echo"
 class ArraySpec:
     """One array of the store, with a first dimension of pings.
 
-    Attributes
-    ----------
     name, dtype : of the array
     shape, dims : lengths and names of the dimensions beyond the first
     fill : value where nothing is stored
@@ -61,8 +59,6 @@ class ArraySpec:
 class Layer(ArraySpec):
     """An array with a value for each bin, (ping, beam, range).
 
-    Attributes
-    ----------
     encode : function (ping, class_id, first_body) -> (B, K) array of `dtype`; class_id is (bodies of the
         scene + 1,), the class of each body's number, and first_body the number of bodies in earlier scenes
     """
@@ -217,8 +213,6 @@ def body_arrays(n_bodies: int, image_height: int) -> list[ArraySpec]:
 class Instances:
     """The instances of COCO in a scene, each with the number of its first body.
 
-    Attributes
-    ----------
     number_of : (bodies + 1,) uint16, the instance of each body, by number
     names : of each instance, by number: that of its body, or what the names of its bodies have before `::`
     """
@@ -238,19 +232,14 @@ class Instances:
 class Schema:
     """Arrays, bodies and classes of a job. Build it once per process: for it every scene is read.
 
-    Attributes
-    ----------
+    Raises Error if labels match no body; names table and key.
+
     bodies : names of the bodies of all scenes; those of scene k begin at first_body[k]. The number of a body
         in the arrays is 1 + its index here
     classes : names of the classes; the number of a class is 1 + its index
     class_id : (bodies + 1,), the class of each body's number, 0 for none
     body_arrays : arrays with a few numbers for each body, the same for each sonar; empty without the layer
         `boxes`
-
-    Raises
-    ------
-    Error
-        if labels match no body; names table and key.
     """
 
     def __init__(self, requests: BatchRequests):

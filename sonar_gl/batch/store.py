@@ -57,8 +57,6 @@ def create_arrays(
 ) -> None:
     """Create the empty arrays of a store. Files that are there as they should be stay, and so do all pings.
 
-    Parameters
-    ----------
     groups : groups by name of the sonar; a single sonar has no group of its own
     attributes : of the data set
     """
@@ -120,8 +118,6 @@ def _remove_partial_files(folder: Folder) -> None:
 class PingStore:
     """A store that exists, open for reading and writing.
 
-    Parameters
-    ----------
     folder : folder of the batch
     n_sonars : number of sonars of the job
     """
@@ -193,8 +189,6 @@ def consolidate(folder: Folder) -> None:
 def shared_files(folder: Folder, part_arrays: set[str]) -> list[str]:
     """Return the names of the store's files that belong to no part.
 
-    Parameters
-    ----------
     part_arrays : names of the arrays that parts write
     """
     out, root = [], _open_group(folder, "r")

@@ -41,8 +41,6 @@ class SeenClasses(NamedTuple):
 class DryRun:
     """What some pings of a job have shown.
 
-    Attributes
-    ----------
     seconds_per_ping, bytes_per_ping : means over the job
     numbers : of the pings, rising
     seen : of each scene and sonar; empty if the job stores no labels
@@ -57,8 +55,6 @@ class DryRun:
 class LabelledBins(Output):
     """The number of bins that have the label of each class; it writes nothing.
 
-    Attributes
-    ----------
     counts : sonar -> for each ping that was added, (1 + classes,) whole numbers, by number of the class
     """
 
@@ -125,8 +121,6 @@ def _seen_classes(batch: Batch, scene: int, sonar: str, bins: list[np.ndarray]) 
 class HardView(NamedTuple):
     """What the view of a ping needs.
 
-    Attributes
-    ----------
     number : of the ping
     sonar : its name
     n_samples : samples that the tolerance takes

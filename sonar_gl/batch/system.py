@@ -21,8 +21,6 @@ class System:
     processor, so that a cluster may have several kinds: it may change the last bits of echo and noise. The manifest
     names that which began the batch, see `processor`.
 
-    Attributes
-    ----------
     gl_renderer, gl_version : the driver's names of itself and of its version, or the engine `cpu`'s
     numpy, numba : their versions. NumPy computes functions and random numbers, Numba compiles the sums
     """

@@ -115,14 +115,9 @@ class Trajectory(ABC):
 class FileTrajectory(Trajectory):
     """Poses of a CSV file, see `sonar_gl.core.poses.read_poses`.
 
-    Parameters
-    ----------
-    file : path; columns t,x,y,z,roll,pitch,yaw in seconds, metres and radians, or qx,qy,qz,qw for the angles
+    Raises Error if the file cannot be read; names file, line and column.
 
-    Raises
-    ------
-    Error
-        if the file cannot be read; names file, line and column.
+    file : path; columns t,x,y,z,roll,pitch,yaw in seconds, metres and radians, or qx,qy,qz,qw for the angles
     """
 
     file: str
@@ -153,19 +148,14 @@ class Lawnmower(Trajectory):
     along its leg. Each leg begins with a ping on the edge of the rectangle. There are no pings between legs,
     while the vehicle drives a half circle; that takes the time of π/2 spacings at its speed.
 
-    Parameters
-    ----------
+    Raises ValidationError if a setting is out of bounds, or there are more than 1e9 pings.
+
     centre_m : x, y of the centre of the rectangle
     z_m : height of the vehicle
     length_m, width_m : extent along and across the legs
     line_spacing_m, speed_m_s, ping_rate_hz : pings on a leg are speed / rate apart
     yaw_rad : heading of the first leg
     pitch_rad, roll_rad : of the vehicle, on every leg
-
-    Raises
-    ------
-    ValidationError
-        if a setting is out of bounds, or there are more than 1e9 pings.
     """
 
     centre_m: HorizontalPosition
@@ -214,8 +204,8 @@ class Lawnmower(Trajectory):
 class Orbit(Trajectory):
     """A horizontal circle about a target; the sonar looks at the target.
 
-    Parameters
-    ----------
+    Raises ValidationError if a setting is out of bounds.
+
     centre_m : x, y, z of the target
     radius_m : horizontal distance from it
     z_m : height of the vehicle
@@ -224,11 +214,6 @@ class Orbit(Trajectory):
     turns : number of turns, positive counter-clockwise seen from above, not 0
     start_rad : azimuth of the first position seen from the target, from world x towards y
     speed_m_s : speed on the circle; decides the times only
-
-    Raises
-    ------
-    ValidationError
-        if a setting is out of bounds.
     """
 
     centre_m: Position
@@ -268,18 +253,13 @@ class EvenTrajectory(Trajectory):
 class SectorScan(EvenTrajectory):
     """A sonar at a fixed position that pans to and fro at a constant rate, as on a pan and tilt unit.
 
-    Parameters
-    ----------
+    Raises ValidationError if a setting is out of bounds.
+
     position_m : x, y, z
     pan_rad : yaw at the start and at the end of a sweep
     n_pings, ping_rate_hz : number of pings, and pings per second
     sweep_s : time from one end to the other
     tilt_rad : pitch, positive looks down
-
-    Raises
-    ------
-    ValidationError
-        if a setting is out of bounds.
     """
 
     position_m: Position
@@ -313,8 +293,8 @@ class RandomViews(EvenTrajectory):
     likely. No draw is rejected. The sonar is then turned so that the point appears at a uniform azimuth and
     elevation within the jitters, and rolled about the line to the point.
 
-    Parameters
-    ----------
+    Raises ValidationError if a setting is out of bounds, or no position within `z_m` satisfies the others.
+
     target_m, target_size_m : centre of the box that is aimed at, and its size along world x, y, z
     range_m : [low, high], from the point to the sonar
     n_pings : number of pings
@@ -325,11 +305,6 @@ class RandomViews(EvenTrajectory):
     roll_jitter_rad : largest roll
     ping_rate_hz : decides the times only
     seed : seed of the random draws
-
-    Raises
-    ------
-    ValidationError
-        if a setting is out of bounds, or no position within `z_m` satisfies the others.
     """
 
     target_m: Position
@@ -400,15 +375,10 @@ KINDS = {
 def build_trajectory(table: Mapping, file: str, index: int = 0) -> Trajectory:
     """Return the trajectory of a table of poses.
 
-    Parameters
-    ----------
+    Raises Error if the kind is unknown or a setting is wrong; names file, table and key.
+
     table : `kind`, a key of KINDS, and the settings of that kind; `scenes`, which decides no pose, is ignored
     file, index : name of the job file and index of the table, for messages
-
-    Raises
-    ------
-    Error
-        if the kind is unknown or a setting is wrong; names file, table and key.
     """
     settings, place = dict(table), ("poses", index)
     where = f"{file}: {key_path(place)}"

@@ -21,8 +21,6 @@ GAP_S = 1.0  # between the last ping of a run and the first of the next
 class TrajectoryRun:
     """Consecutive pings along one trajectory in one scene.
 
-    Attributes
-    ----------
     scene : index into the job's scenes
     trajectory : Trajectory
     numbers : numbers of the pings in the job
@@ -54,10 +52,7 @@ def runs_of(job: Job, trajectories: list[Trajectory]) -> list[TrajectoryRun]:
 
     Each begins GAP_S after the one before has ended.
 
-    Raises
-    ------
-    Error
-        if a table of poses names no scene of the job, if a scene has no poses, or if a time cannot be stored.
+    Raises Error if a table of poses names no scene of the job, if a scene has no poses, or if a time cannot be stored.
     """
     if job.ros is not None:
         _check_times_for_bag(job, trajectories)

@@ -65,8 +65,6 @@ def check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
 def check_floors(job: Job, index: int, bodies: Iterable[str], plumes: Iterable[str]) -> None:
     """Raise an Error if a scene lacks the floor on which a table rests bodies, or it moves with them or later.
 
-    Parameters
-    ----------
     index : of the scene in the job
     bodies, plumes : names of what is in it
     """
@@ -191,8 +189,6 @@ class MovedBodies:
 class _Move(NamedTuple):
     """A move of bodies that keeps them as they are to each other.
 
-    Attributes
-    ----------
     names : of the bodies
     home, place : (4, 4) pose of what they are in or about, in the scene and in this ping before shift and turn; the
         same if they follow no path

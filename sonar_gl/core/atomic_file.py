@@ -93,10 +93,7 @@ def _leads_to_open_file(path: Path) -> bool:
 def atomic_write(path: Path):
     """Yield a temporary path to write to; the block's end renames it to `path`, an exception removes it.
 
-    Raises
-    ------
-    Error
-        if the folder does not exist, something else than a file is there, or the file cannot be written.
+    Raises Error if the folder does not exist, something else than a file is there, or the file cannot be written.
     """
     with _writing(path):
         temporary = temporary_path(path)

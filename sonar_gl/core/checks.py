@@ -27,8 +27,8 @@ def _is_read_only(array) -> bool:
 def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "", shares: bool = False) -> np.ndarray:
     """Return a read-only, finite, contiguous copy of `array`.
 
-    Parameters
-    ----------
+    Raises Error if the shape differs, or a value is not a finite number: text is none, nor what a mask hides.
+
     array : anything that NumPy turns into numbers
     dtype : of the copy
     shape : required lengths; None allows any length
@@ -36,11 +36,6 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "", shares: 
     hint : what to do instead, which ends the message about a shape
     shares : return the array itself if it is all this already, and owns its numbers. Its owner could make it writeable
         again, so this is for arrays that are large, or of which others find by identity that they are the same
-
-    Raises
-    ------
-    Error
-        if the shape differs, or a value is not a finite number: text is none, nor what a mask hides.
     """
     try:
         out = array if shares and _is_read_only(array) else np.array(array, order="C")
@@ -325,8 +320,6 @@ def check_number(what: str, value, low: float = -math.inf, high: float = math.in
 def check_fields(what: str, settings, bounds: Iterable[tuple[str, float, float, str]]) -> None:
     """Raise an `Error` unless fields of a dataclass are numbers within bounds; those that are None by default may be.
 
-    Parameters
-    ----------
     what : the settings, with which the message begins, such as "sonar 'mine'"
     settings : instance of the dataclass
     bounds : name of each field; `low`, `high` and `hint` of `check_number`
@@ -394,8 +387,6 @@ def unknown_body_error(
 ) -> Error:
     """Return the error for a name that no body has.
 
-    Parameters
-    ----------
     name : what was given, of any type
     known : names of the bodies of the scene, and of what else may be named
     rule : what must hold, with which the message begins

@@ -75,8 +75,6 @@ def check_kind_of_file(path, pipe: bool = False) -> None:
 
     Opening a named pipe waits until somebody writes to it, and a device may never end. A missing file passes.
 
-    Parameters
-    ----------
     pipe : whether a pipe will do that is open already, as /dev/stdin may be, or what a shell makes of <(...)
     """
     try:

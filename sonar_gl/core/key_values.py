@@ -27,6 +27,8 @@ def parse_fields(
 ) -> tuple[str | None, dict]:
     """Parse `key=value,...` by the types of the fields of a dataclass.
 
+    Raises Error if a name is unknown or given twice, or its value is of another type.
+
     Parameters
     ----------
     what : name of the option, with which messages begin
@@ -41,11 +43,6 @@ def parse_fields(
     -------
     preset : str or None
     values : field name -> value; `cls` checks the bounds
-
-    Raises
-    ------
-    Error
-        if a name is unknown or given twice, or its value is of another type.
     """
     check_kind(what, text, str, "such as 'key=value,key=value'")
     hints = get_type_hints(cls)

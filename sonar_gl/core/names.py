@@ -10,8 +10,6 @@ from functools import lru_cache
 def matching_names(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
     """Return the names that match any of the patterns, in the order of the names.
 
-    Parameters
-    ----------
     patterns : in which * stands for any text and ? for one character; every other character stands for itself, also
         brackets, which names of bodies may have
 
@@ -26,8 +24,6 @@ def matching_names(patterns: Iterable[str], names: Iterable[str]) -> list[str]:
 def names_of(pattern: str, names: Collection[str]) -> list[str]:
     """Return the names that one pattern matches.
 
-    Parameters
-    ----------
     names : in which a plain name is looked up: a dict or a set where there may be thousands of both
 
     >>> names_of("boat", {"boat", "boat_2"})

@@ -27,17 +27,11 @@ class NpzArrays(NamedTuple):
 def read_npz(path: Path, kinds: Mapping[str, str]) -> NpzArrays:
     """Read arrays of numbers or text; Python objects are never unpickled.
 
-    Parameters
-    ----------
+    Raises OSError if the file cannot be read; Error if it is no NPZ file, an array has another kind, or all together
+    would be larger than MAX_BYTES and the file.
+
     path : the file
     kinds : for each array to read, if it is there, the permitted kinds of its dtype, such as "fiub"
-
-    Raises
-    ------
-    OSError
-        if the file cannot be read.
-    Error
-        if it is no NPZ file, an array has another kind, or all together would be larger than MAX_BYTES and the file.
     """
     try:
         with zipfile.ZipFile(path) as archive:

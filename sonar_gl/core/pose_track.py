@@ -11,8 +11,6 @@ from trimesh.transformations import quaternion_from_matrix, quaternion_matrix, q
 class PoseTrack:
     """Poses over time: between two of them position and attitude change evenly; before and after all, they stay.
 
-    Parameters
-    ----------
     poses : (4, 4) world_from_x, at least one
     times_s : (N,) seconds, which do not fall; None for what stands at the first pose
 

@@ -186,6 +186,10 @@ OFF_LENGTH = 1e-2  # of a unit quaternion, by the rounding of a file
 def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     """Read times and poses from a CSV file whose first line names its columns: t,x,y,z,roll,pitch,yaw.
 
+    Raises Error if a column is missing, a line has too few or too many cells, a cell is not a finite number, a time is
+    earlier than the one before, a time or a place is too great for a ping, an angle looks like degrees, a quaternion is
+    no unit one, or the file has no pose. The message names file, line and column.
+
     Parameters
     ----------
     path : file with seconds, metres and radians. The order of columns is free; other columns and empty lines are
@@ -197,13 +201,6 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     -------
     times_s : (N,) float64
     poses : (N, 4, 4) float64, world_from_sonar
-
-    Raises
-    ------
-    Error
-        if a column is missing, a line has too few or too many cells, a cell is not a finite number, a time is earlier
-        than the one before, a time or a place is too great for a ping, an angle looks like degrees, a quaternion is no
-        unit one, or the file has no pose. The message names file, line and column.
     """
     path = Path(path)
     check_kind_of_file(path, pipe=True)

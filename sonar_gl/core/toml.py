@@ -20,16 +20,12 @@ MAX_TOML_DEPTH = 32  # of tables and arrays, which the functions that take them 
 def read_toml(path: Path, what: str, hint: str = "") -> dict:
     """Return the contents of a TOML file.
 
-    Parameters
-    ----------
+    Raises Error if it is no file, cannot be read, is not TOML, or nests tables and arrays more than MAX_TOML_DEPTH
+    deep.
+
     path : file, in UTF-8, with or without the mark of byte order that editors on Windows put first
     what : what the file is, such as "the sonar's file"
     hint : what to do instead, which ends the message about a file of another kind
-
-    Raises
-    ------
-    Error
-        if it is no file, cannot be read, is not TOML, or nests tables and arrays more than MAX_TOML_DEPTH deep.
     """
     check_kind_of_file(path, pipe=True)
     try:

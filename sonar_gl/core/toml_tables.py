@@ -47,8 +47,6 @@ Names = Annotated[list[str], Field(min_length=1)]
 class Table(BaseModel):
     """A table of a file. Unknown keys are errors.
 
-    Attributes
-    ----------
     REPLACED : keys of former versions -> what stands in their place, for messages
     NOT_IN_FILES : fields that no file gives
     """
@@ -63,8 +61,6 @@ def table_error(
 ) -> Error:
     """Return one error for all that pydantic found wrong with a table.
 
-    Parameters
-    ----------
     kind : the pydantic model or dataclass; its fields' descriptions are the cures in the messages
     file : its name
     table : keys that lead to the table in the file, such as ("poses", 0)

@@ -66,8 +66,6 @@ def collected_warnings(category: type[Warning] = UserWarning) -> Iterator[list[C
     It holds for this thread alone, unlike `warnings.catch_warnings`, which changes the state of the process: of two
     threads that use it at once, one shows what it should not, or swallows what the other should show, for ever.
 
-    Parameters
-    ----------
     category : of the warnings; those of others are issued as they are
 
     >>> with collected_warnings() as found:

@@ -18,8 +18,6 @@ STEP_BACK = nullcontext()
 class ThreadLock:
     """A lock; a thread that holds it gets an Error in place of waiting for itself.
 
-    Parameters
-    ----------
     message : of the Error
     """
 
@@ -130,8 +128,6 @@ def _serve(queue: SimpleQueue) -> None:
 class JobThreads:
     """Threads that do jobs in turn, started with the first. A queue takes half the time of an executor.
 
-    Parameters
-    ----------
     name : of each thread
     count : how many there are
     """
@@ -172,10 +168,7 @@ class SecondThread:
     def run_halves(self, work: Callable[[int], object]) -> tuple:
         """Return (work(0), work(1)); the thread runs the second, or the caller does if the thread is busy.
 
-        Raises
-        ------
-        Error
-            after `close`. Exceptions of either half are raised again.
+        Raises Error after `close`. Exceptions of either half are raised again.
         """
         if self._is_closed:
             raise closed_error("SecondThread")

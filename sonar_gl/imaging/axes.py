@@ -71,8 +71,6 @@ class FanTicks(NamedTuple):
 def fan_ticks(fan: FanGeometry, spoke_pixels: float, arc_pixels: float = 0.0) -> FanTicks:
     """Return as many spokes, at most eight or so, and arcs, at most seven, as lie this far apart or more.
 
-    Parameters
-    ----------
     spoke_pixels : along the outer arc
     arc_pixels : along a spoke
     """
@@ -117,8 +115,6 @@ def _metres(value_m: float) -> str:
 class _Bar:
     """What the bar beside a fan shows.
 
-    Attributes
-    ----------
     law : of the counts, with the gain of this ping
     gain_varies : whether other pings of the sonar may have another gain
     """
@@ -152,8 +148,6 @@ def _bar_labels(law: Counts) -> list[str]:
 class _Line(NamedTuple):
     """The lines of a fan in one of STROKES, at the n pixels that they cross.
 
-    Attributes
-    ----------
     pixels : (n,) place in the canvas, row by row
     kept, added : (n, 1) float32, share of the picture that stays visible, and gray level that is added to it
     """

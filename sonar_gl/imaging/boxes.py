@@ -254,8 +254,6 @@ def _find_runs(body_id, runs, areas):
 def _add_brightness(runs, echoes, table, areas, starts, profiles):
     """Add the brightness of each bin to the profiles of its body: first over its beams, then over its bins.
 
-    Parameters
-    ----------
     runs, areas : of `_find_runs`
     echoes : (B, K) uint32, the bits of float32
     table : of `_brightness_table`
@@ -332,8 +330,6 @@ def _leave_out_faint_ends(profiles, starts, full_circle, areas):
 def _find_extents(runs, extents, areas, found):
     """Find, for each body, its number of bins in its area, and their first and last beam, bin, column and row.
 
-    Parameters
-    ----------
     runs, areas : of `_areas`
     extents : (4, B, K) int16, of `_extents`
     found : (bodies, 9) int64, filled in this order. A beam behind the seam counts on from the last one

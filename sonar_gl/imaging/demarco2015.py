@@ -102,6 +102,9 @@ def demarco_image(
 class PictureSettings:
     """Settings of `demarco_picture`.
 
+    Raises Error if height, seed, form or join is out of bounds or unknown, or the printed form is chosen for a fan of
+    180° or more. The other settings are those of a `Sonar` and a `Noise`, which have checked them.
+
     Parameters
     ----------
     azimuth_fov_rad : width of the fan θ_S
@@ -113,12 +116,6 @@ class PictureSettings:
     median : size of the median blur, odd, pixels; 0 or 1 for none
     salt_and_pepper : fraction of the pixels set to white or black, half each
     seed : the same seed gives the same bytes
-
-    Raises
-    ------
-    Error
-        if height, seed, form or join is out of bounds or unknown, or the printed form is chosen for a fan of 180° or
-        more. The other settings are those of a `Sonar` and a `Noise`, which have checked them.
 
     Notes
     -----
@@ -158,8 +155,6 @@ class PictureSettings:
 class _Layout:
     """Where points of the sonar's plane lie in the picture. Positions are pixels from its top left edge.
 
-    Attributes
-    ----------
     rows, columns : size, pixels
     across_px_m, along_px_m : scales of y and x, pixels per metre
     """
@@ -228,6 +223,8 @@ def demarco_picture(
 ) -> np.ndarray:
     """Return the founding paper's picture of a point cloud.
 
+    Raises Error if the picture would be too wide.
+
     Parameters
     ----------
     points_xyz : (N, 3) float64, metres, sonar frame (x forward, y port, z up), in scan order, row by row; NaN or
@@ -238,11 +235,6 @@ def demarco_picture(
     Returns
     -------
     array of shape (H, W, 3), uint8 RGB
-
-    Raises
-    ------
-    Error
-        if the picture would be too wide.
 
     Notes
     -----
@@ -289,8 +281,6 @@ def stamp_rings(image: np.ndarray, pixels: np.ndarray, values: np.ndarray) -> No
 
     The result equals that of cv2.circle(image, (column, row), 1, value, 1) called point by point.
 
-    Parameters
-    ----------
     image : (H, W) uint8
     pixels : (N, 2) integers, (row, column), centres within the image
     values : (N,) 0..255, rounded

@@ -31,8 +31,6 @@ _OUTSIDE = -16.0  # map coordinate of pixels outside the fan: so far off the arr
 class PixelRows(NamedTuple):
     """What the pixels of some rows of a fan image show, (n, W) each.
 
-    Attributes
-    ----------
     rows : slice of the picture's rows
     azimuth_rad : of the pixels' centres, within half a turn of the fan's middle
     range_m : of the pixels' centres
@@ -50,8 +48,6 @@ class PixelRows(NamedTuple):
 class FanGeometry:
     """Scale, size and origin of a fan image. Pixel coordinates are whole numbers at the pixels' centres.
 
-    Attributes
-    ----------
     height, width : pixels
     pixels_per_m : scale, the same along rows and columns
     sonar_row, sonar_column : the sonar's pixel; sonar_row may be height − ½, the bottom edge
@@ -227,8 +223,6 @@ def azimuth_key(ping: Ping) -> bytes:
 def nearest_cells(geometry: FanGeometry, shape: tuple[int, int], key: bytes) -> np.ndarray:
     """Return beam × bins + bin of the bin nearest to each pixel of a fan image, (H, W) int32, −1 outside the fan.
 
-    Parameters
-    ----------
     geometry : `fan_geometry` of the ping
     shape : beams, bins
     key : the ping's `azimuth_key`
@@ -255,8 +249,6 @@ class _Band(NamedTuple):
 class _Plan(NamedTuple):
     """How `fan_image` maps a polar array to pixels.
 
-    Attributes
-    ----------
     shape : (beams, bins) after the mean by area
     bands : bins whose beams are averaged
     maps : bins and beams at the pixels, (H, W) float32 each, as cv2.remap takes them

@@ -78,8 +78,6 @@ def save_png(path: str | os.PathLike, picture: np.ndarray) -> None:
 def png_bytes(picture: np.ndarray) -> bytes:
     """Return the content of a PNG file.
 
-    Parameters
-    ----------
     picture : (H, W) or (H, W, 3) RGB, uint8 or float 0..1, stored in 8 bits; or (H, W) uint16, 16-bit gray
     """
     picture = whole_numbers(picture, "a PNG")

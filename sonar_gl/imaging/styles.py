@@ -27,8 +27,6 @@ DARK_BLUE = 128  # the first colour of Jet
 class FanStyle:
     """Fan images in colour, or in gray of 16 bits. Raises Error if the colour map is unknown.
 
-    Parameters
-    ----------
     height : of `fan_image`
     colormap : of `colorize`
     axes : whether the picture has `draw_axes`
@@ -93,8 +91,6 @@ def shows_echo(picture: np.ndarray) -> np.ndarray:
 class DemarcoStyle:
     """The founding paper's pictures. Warns of noise that they do not have.
 
-    Parameters
-    ----------
     height, form, join, noise : of `demarco_image`
     seed : of the first ping; ping n has seed + n
     """

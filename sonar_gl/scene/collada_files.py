@@ -28,13 +28,8 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
 
     A skinned mesh becomes a plain one, in the shape that its bones are bound to, at the node that holds it.
 
-    Raises
-    ------
-    Error
-        if it places more than MAX_BODIES geometries, has no scene, a <lookat> or <skew> places geometry, or a
-        polygon has holes.
-    ValueError
-        if it declares a document type, or is no XML.
+    Raises Error if it places more than MAX_BODIES geometries, has no scene, a <lookat> or <skew> places geometry, or a
+    polygon has holes; ValueError if it declares a document type, or is no XML.
     """
     from lxml import etree
 

@@ -71,8 +71,6 @@ def body_around(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, 
     A line straight up from there leaves such a body through more faces that look up than it enters through faces that
     look down. A mesh that is inside out, such as the walls of a tank, holds no place.
 
-    Parameters
-    ----------
     poses : (n, 4, 4) world_from_body
     present : (n,) bool
     place : (3,) x, y, z in the world, metres
@@ -107,8 +105,6 @@ def gap_m(placed: Sequence[tuple[Body, np.ndarray]], floor: Body, floor_pose: np
     Corners of the bodies touch faces of the floor, or corners of the floor touch faces of the bodies; that edges may
     cross before is left out. Parts beyond the floor's edge do not count; infinite if all parts lie there.
 
-    Parameters
-    ----------
     placed : bodies, each with its (4, 4) world_from_body
     floor_pose : (4, 4) world_from_body of the floor
     """
@@ -171,8 +167,6 @@ def air_text(scene: Scene, pose: np.ndarray) -> str:
 def place_texts(scene: Scene, poses: np.ndarray, present: np.ndarray, pose: np.ndarray) -> list[str]:
     """Return the warnings of a sonar in the air and inside a body, as far as there are any.
 
-    Parameters
-    ----------
     poses, present : of `body_around`
     pose : (4, 4) world_from_sonar
     """

@@ -25,12 +25,9 @@ def check_geometry(path: Path) -> None:
 
     A file whose header is broken in another way passes: trimesh says what is wrong with it.
 
-    Raises
-    ------
-    Error
-        with the number of an accessor that is larger than the part of a buffer that it names; also if accessors that
-        name no buffer have more than MAX_ZEROS elements together: they are zeros, of which a few bytes could state any
-        number. With the name of a mesh whose positions are compressed, sparse, or normalized integers.
+    Raises Error with the number of an accessor that is larger than the part of a buffer that it names; also if
+    accessors that name no buffer have more than MAX_ZEROS elements together: they are zeros, of which a few bytes could
+    state any number. With the name of a mesh whose positions are compressed, sparse, or normalized integers.
     """
     header = _read_header(path)
     _check_accessors(header, path)

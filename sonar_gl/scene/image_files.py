@@ -30,16 +30,12 @@ class ImageSize(NamedTuple):
 def read_image_file(path, what: str, kinds: str) -> np.ndarray:
     """Return an image as stored: (H, W), or (H, W, channels) in OpenCV's order, of the file's own type.
 
-    Parameters
-    ----------
+    Raises Error if the file is missing, no image, or has more than MAX_PIXELS pixels by its header, without decoding
+    it.
+
     path : the file
     what : name of the image in messages, such as "a height map"
     kinds : examples of what is expected, for messages
-
-    Raises
-    ------
-    Error
-        if the file is missing, no image, or has more than MAX_PIXELS pixels by its header, without decoding it.
     """
     import cv2
 

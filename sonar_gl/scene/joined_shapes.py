@@ -30,8 +30,6 @@ class SurfaceKind(NamedTuple):
 def body_of_shapes(name: str, group: list[EchoingShape], pose, kind: SurfaceKind) -> Body:
     """Return one body from shapes of one kind of surface.
 
-    Parameters
-    ----------
     group : shapes in the frame of the body; one or more
     pose : (4, 4) world_from_body
     kind : SurfaceKind of all of them

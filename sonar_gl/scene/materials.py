@@ -28,8 +28,6 @@ class Material:
 
     Fine roughness scatters a part of what the boundary reflects diffusely, and leaves the rest to the specular lobe.
 
-    Attributes
-    ----------
     name : heading of its table in materials.toml
     density_ratio, speed_ratio, loss : as `rayleigh_reflection` takes them
     impedance_ratio : impedance over that of the water

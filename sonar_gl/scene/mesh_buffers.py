@@ -17,8 +17,6 @@ FALLBACK = "model.gltf"  # that trimesh asks for if a glTF is no JSON
 class MeshBuffers:
     """Reads the buffers of a glTF file; a resolver of trimesh, which for its own may read any file.
 
-    Parameters
-    ----------
     mesh_file : path of the mesh file; relative URIs start at its folder
     roots : folders that may be read
     """
@@ -30,11 +28,8 @@ class MeshBuffers:
     def get(self, uri: str) -> bytes:
         """Return the content of a file.
 
-        Raises
-        ------
-        Error
-            with the names of the mesh file and the URI, if there is no such file, it is outside of the folders that
-            may be read, after symbolic links are resolved, it is no regular file, or larger than MAX_BUFFER_BYTES.
+        Raises Error with the names of the mesh file and the URI, if there is no such file, it is outside of the folders
+        that may be read, after symbolic links are resolved, it is no regular file, or larger than MAX_BUFFER_BYTES.
         """
         if uri == FALLBACK:
             raise FileNotFoundError("broken JSON")

@@ -54,17 +54,14 @@ class MeshPart(NamedTuple):
 def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
     """Return terrain from a grey image: one vertex per pixel, flat triangles between them.
 
+    Raises Error if the file is missing, no image, smaller than 2 x 2, larger than 20 million pixels, or not finite.
+
     Parameters
     ----------
     path : 8 or 16 bit PNG, whose values are divided by the largest, or TIFF, whose values are heights, metres
     size : x, y extent of the terrain, metres; z is the factor of a PNG's values, and of a TIFF the height from
         its lowest to its highest value, or 1 for heights as they are
     pos : centre of the terrain, metres; its z is added to all heights
-
-    Raises
-    ------
-    Error
-        if the file is missing, no image, smaller than 2 x 2, larger than 20 million pixels, or not finite.
 
     Notes
     -----
@@ -108,16 +105,11 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
     Only normals that the file itself holds are used. COLLADA's `<unit meter>` is applied and its `<up_axis>`
     is not, as in Gazebo. Degenerate, duplicate, inverted and open triangles stay as they are.
 
-    Parameters
-    ----------
+    Raises Error with the name of the file, if it is missing or unreadable, has no faces (a point cloud), a vertex is
+    not finite, or it names a file that may not be read.
+
     path : the file
     roots : folders in which files may lie that the mesh names, such as a glTF's buffers; by default the mesh's own
-
-    Raises
-    ------
-    Error
-        with the name of the file, if it is missing or unreadable, has no faces (a point cloud), a vertex is not
-        finite, or it names a file that may not be read.
     """
     path = Path(path)
     check_is_file(path)
@@ -269,6 +261,8 @@ def _name_in_file(scene, node: str, mesh) -> str:
 def read_mesh(path, submesh: str | None = None, center: bool = False, roots: Collection[Path] = ()) -> Shape:
     """Read a mesh file as one shape.
 
+    Raises Error as `read_mesh_parts` does, or if there is no such submesh.
+
     Parameters
     ----------
     path : the file
@@ -276,11 +270,6 @@ def read_mesh(path, submesh: str | None = None, center: bool = False, roots: Col
         this name; None reads all
     center : whether to move the centre of the bounding box to the origin
     roots : as for `read_mesh_parts`
-
-    Raises
-    ------
-    Error
-        as `read_mesh_parts` does, or if there is no such submesh.
 
     Notes
     -----

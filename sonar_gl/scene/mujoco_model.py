@@ -38,8 +38,6 @@ CAMERA_FROM_SONAR = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 class Part(NamedTuple):
     """The geoms that make one body of the scene.
 
-    Attributes
-    ----------
     name : of the body
     body : number of MuJoCo's body; 0 is the world
     geoms : numbers of the geoms
@@ -59,16 +57,13 @@ def is_mujoco_model(what) -> bool:
 def convert_mujoco_model(what, name: str = "scene", path: Path | None = None) -> Scene:
     """Return the scene of a mujoco.MjModel at its reference configuration, or of a mujoco.MjData as it is now.
 
+    Raises Error if a geom that MuJoCo shows has no surface.
+
     Parameters
     ----------
     what : mujoco.MjModel or mujoco.MjData
     name : of the scene
     path : file that warnings name; None for an object
-
-    Raises
-    ------
-    Error
-        if a geom that MuJoCo shows has no surface.
 
     Notes
     -----
@@ -163,16 +158,11 @@ def mujoco_sonar_pose(data, name: str | None = None) -> np.ndarray:
 def read_mjcf(path: Path, resource_paths) -> Scene:
     """Read a scene from a MuJoCo model in a file.
 
-    Parameters
-    ----------
+    Raises Error if MuJoCo is not installed or cannot read the model, or the model names files that are missing or
+    elsewhere.
+
     path : of an MJCF file
     resource_paths : folders from which the model may read files, besides its own
-
-    Raises
-    ------
-    Error
-        if MuJoCo is not installed or cannot read the model, or the model names files that are missing or
-        elsewhere.
     """
     resources = Resources(path, resource_paths)
     _check_files(path, resources)
@@ -254,8 +244,6 @@ def _elements(main: Path, resources: Resources) -> Iterator[tuple]:
 def _find(file: str, folder: str, main: Path, path: Path, resources: Resources, location: str) -> Path | None:
     """Return the file that MuJoCo reads; None if it is missing, which is noted in `resources`.
 
-    Parameters
-    ----------
     file : its name, as in the model; relative to the main file's folder, else to that of the file that names it
     folder : of the main file's folder in which it is, as the model's compiler names it
     main, path : the main file, and the one that names it

@@ -22,8 +22,6 @@ class PlacedShapes:
     def body(self, name: str, shape: Shape, world_from_node) -> Body:
         """Return a body with the pose of its node; scale, shear and mirroring go into the vertices.
 
-        Parameters
-        ----------
         shape : its mesh is known by its identity, so it must not be changed meanwhile
         world_from_node : (4, 4), affine
         """

@@ -36,10 +36,7 @@ def tidy_ply(data: bytes) -> bytes:
     one that is broken: trimesh says what is wrong with it. What a binary file of several sizes states of its faces but
     their corners, and what follows them, is left out.
 
-    Raises
-    ------
-    Error
-        if faces are strips, which trimesh leaves out.
+    Raises Error if faces are strips, which trimesh leaves out.
     """
     header = HEADER.match(data)
     if header and re.search(rb"\nelement +tristrips +0*[1-9]", header[0]):

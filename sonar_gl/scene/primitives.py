@@ -36,8 +36,6 @@ class Triangles(NamedTuple):
 class Shape(NamedTuple):
     """A mesh with shading normals.
 
-    Attributes
-    ----------
     mesh : Triangles
     normals : (V, 3) float32 of unit length, zero at vertices that are shaded flat; None if all are
     """
@@ -151,8 +149,6 @@ def extrude(rings, height: float) -> Shape:
 def triangulated(corners: np.ndarray, ends) -> np.ndarray:
     """Return (F, 3) corners of triangles that cover a polygon, counter-clockwise.
 
-    Parameters
-    ----------
     corners : (n, 2) of the polygon, and of the holes in it
     ends : number of corners up to the end of each ring
     """
@@ -223,8 +219,6 @@ def plane(normal=(0.0, 0.0, 1.0), size=(INFINITE_PLANE_M, INFINITE_PLANE_M)) -> 
 def terrain(heights, size, pos=(0.0, 0.0, 0.0)) -> Shape:
     """Return a sheet of flat triangles over a grid of heights.
 
-    Parameters
-    ----------
     heights : (R, C) metres; the first row is at +y, the first column at -x
     size : x, y extent, metres; the outer heights lie on its edges
     pos : centre, metres

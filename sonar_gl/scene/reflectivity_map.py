@@ -64,6 +64,9 @@ def textured(mesh, uv, image, normals=None) -> tuple[Shape, np.ndarray]:
 
     An edge is split in both faces that share it, so that no cracks arise.
 
+    Raises Error if an array has the wrong shape, a number is out of bounds, or there would be more than two million
+    faces.
+
     Parameters
     ----------
     mesh : has (V, 3) `vertices`, metres, and (F, 3) `faces`
@@ -78,12 +81,6 @@ def textured(mesh, uv, image, normals=None) -> tuple[Shape, np.ndarray]:
     -------
     shape : Shape with the split faces
     reflectivity : (F,) float64, mean of the image over each face
-
-    Raises
-    ------
-    Error
-        if an array has the wrong shape, a number is out of bounds, or there would be more than two million
-        faces.
     """
     image = read_image(image)
     faces = np.asarray(mesh.faces, np.int64)

@@ -25,8 +25,6 @@ N_SINES = 257  # reflection coefficients are tabulated by the sine of the grazin
 class PlanarReflector:
     """A plane that reflects coherently, in the frame of a body or of the world.
 
-    Attributes
-    ----------
     body : index into `scene.bodies`; None for the water's surface
     normal, offset_m : the plane is normal · x = offset_m, in the body's frame or the world's
     reflection_coefficient : (N_SINES,) of the intensity, by the sine of the grazing angle from 0 to 1
@@ -89,8 +87,6 @@ def _coefficient_of_body(body: Body, wavenumber_rad_m: float) -> np.ndarray | No
 def find_planes(surface, least_m2: float = MIN_AREA_M2) -> list[tuple[np.ndarray, float, float]]:
     """Return unit normal, offset, metres, and area, m², of the planes that hold enough of a mesh, the largest first.
 
-    Parameters
-    ----------
     surface : has (V, 3) `vertices`, metres, and (F, 3) `faces`
     least_m2 : area of a plane that is enough, if it is a share of MIN_AREA_SHARE, too
     """
@@ -140,8 +136,6 @@ def planar_reflectors(
 
     Planes of less than MIN_AREA_M2 are among them, since bodies may be larger in a ping.
 
-    Parameters
-    ----------
     scene : Scene
     wavenumber_rad_m : 2π / λ in the water
     wave_height_m : rms height of the waves under wind; the surface is at least as rough

@@ -473,15 +473,10 @@ def _bodies_and_plumes(things: Iterable) -> tuple[tuple[Body, ...], tuple[Bubble
 def check_added(things: Sequence[Body | Bubbles], n_bodies: int = 0, names: Container[str] = ()) -> None:
     """Check the names of things that are added to a scene, and how many bodies it has then.
 
-    Parameters
-    ----------
+    Raises Error if two have one name, or there are too many bodies.
+
     things : bodies and plumes
     n_bodies, names : what the scene has
-
-    Raises
-    ------
-    Error
-        if two have one name, or there are too many bodies.
     """
     twice = [
         name for name, count in Counter(thing.name for thing in things).items() if count > 1 or name in names
@@ -503,8 +498,6 @@ def poses_of_parts(
 
     A part that is named itself has the pose that is given for it, whatever the order.
 
-    Parameters
-    ----------
     poses : names to (4, 4) world_from_body, or world_from_model, or to None for what is absent
     parts_of : `Scene.parts_of`
     """

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 class SceneState:
     """The poses of a scene's n bodies, which of them are present, and the bubbles, in one ping.
 
-    Attributes
-    ----------
     poses : (n, 4, 4) float64 world_from_body
     present : (n,) bool
     bubbles : (m, 4) x, y, z in the world and radius, metres, of the bubbles of all plumes; None without

@@ -54,10 +54,7 @@ def list_extensions(element) -> list:
 def check_extensions(element, known: tuple, location: str) -> list:
     """Return the children of an element that are in the namespace, all of them of known names.
 
-    Raises
-    ------
-    Error
-        if the name of one is not in `known`.
+    Raises Error if the name of one is not in `known`.
     """
     found = list_extensions(element)
     for child in found:
@@ -71,16 +68,11 @@ def check_extensions(element, known: tuple, location: str) -> list:
 def read_bubbles(element, name: str, pose, location: str) -> Bubbles:
     """Return the plume that a `<sonar_gl:bubbles>` element describes.
 
-    Parameters
-    ----------
+    Raises Error if a child is unknown or occurs twice, or its number is invalid.
+
     element : its children are those of FIELDS, each with one number, all optional
     name, pose : as for `Bubbles`
     location : file and element, with which messages begin
-
-    Raises
-    ------
-    Error
-        if a child is unknown or occurs twice, or its number is invalid.
     """
     settings = {}
     for child in element:
@@ -102,10 +94,7 @@ def read_surface(element, location: str) -> dict:
 
     Its text is the height, metres; its attribute `roughness`, optional, is the rms height of waves, metres.
 
-    Raises
-    ------
-    Error
-        if one of the two is not a number.
+    Raises Error if one of the two is not a number.
     """
     settings = {"surface_z_m": float(read_numbers(element, location, 1)[0])}
     if (text := element.get("roughness")) is not None:

@@ -18,10 +18,7 @@ OF_ORIGIN = "of_origin"  # attribute of a `<pose>` that stands for an `<origin>`
 def read_numbers(element, location: str, count: int, positive: bool = False) -> np.ndarray:
     """Return the (count,) float64 numbers in the text of `element`.
 
-    Raises
-    ------
-    Error
-        that begins with `location`, if the element is None or has other text.
+    Raises Error, which begins with `location`, if the element is None or has other text.
     """
     wanted = f"must be {count} finite {'positive ' if positive else ''}number{'s' if count > 1 else ''}"
     if element is None:
@@ -68,8 +65,6 @@ def read_pose(element, location: str, large_angles: dict) -> np.ndarray:
 class Frame:
     """A frame, link, joint or model, to which poses may be relative.
 
-    Attributes
-    ----------
     pose_element : its `<pose>`, or None
     location : file and element, for messages
     base : name of the frame that its pose is relative to if the pose names none
@@ -90,8 +85,6 @@ class Frame:
 class Scope:
     """A world or a model: its frames and links by name.
 
-    Attributes
-    ----------
     location : file and element, for messages
     folder : of the file that it was read from
     is_world : whether it is a world
@@ -152,8 +145,6 @@ class Scope:
     def find(self, name: str, location: str, visited=()) -> np.ndarray:
         """Return the (4, 4) matrix scope_from_frame of a frame.
 
-        Parameters
-        ----------
         name : of a frame, or "model::frame"; "" is the scope itself
         location : of the element that names the frame, for messages
         visited : names of the frames whose poses led to this one, to detect cycles

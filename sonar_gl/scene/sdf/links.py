@@ -16,8 +16,6 @@ IDENTITY = np.eye(4)
 class Link:
     """A link of the tree.
 
-    Attributes
-    ----------
     scope : the model that holds it, or a model that is merged into that one
     name : in that scope
     element : its `<link>`
@@ -78,8 +76,6 @@ def links_of(
 ) -> Iterator[Link]:
     """Yield every link of a scope and the models in it, in the order of the file.
 
-    Parameters
-    ----------
     scope : of a world, of a model, or of what is merged into one of them
     world_from_model, model_from_scope : (4, 4)
     model : name of the model; "" of a world

@@ -54,6 +54,8 @@ OTHER_ROOTS = {  # what a file of this root element is, and what to do with it
 def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     """Read a scene from an SDF file, a world or a model on its own.
 
+    Raises Error with file and element: broken XML, invalid numbers, unknown or duplicate names, missing files.
+
     Parameters
     ----------
     path : a file of SDF (.sdf, .world) or URDF (.urdf), or one of xacro that expands to one of them (.xacro),
@@ -62,11 +64,6 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         variables and the file's own folder, as in `Resources`; no file outside them is read
     skip_missing : warn of missing models, of missing or unreadable meshes and height maps, and of unknown shapes, and
         leave them out, in place of an error
-
-    Raises
-    ------
-    Error
-        with file and element: broken XML, invalid numbers, unknown or duplicate names, missing files.
 
     Notes
     -----
@@ -129,8 +126,6 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
 class _File(NamedTuple):
     """A file that holds a scene.
 
-    Attributes
-    ----------
     path, arguments : of the file, and those of xacro that came with it
     name : of the scene
     resources : finds what the file refers to
@@ -354,8 +349,6 @@ class TreeReader:
     def fill(self, scope: Scope, element, stack: tuple) -> None:
         """Add the frames, links and models of a world or model to its scope, with those of included models.
 
-        Parameters
-        ----------
         scope : of the world or model
         element : its `<world>`, `<model>` or root element
         stack : for each model or file that led here, the file, or None for a model within a file

@@ -71,6 +71,8 @@ MAX_EXPLAINED = 5  # missing files: where each was looked for
 class Resources:
     """The resource paths of one scene, the files parsed so far, and a list of missing files.
 
+    Raises Error if one of `resource_paths` is not a folder.
+
     Attributes
     ----------
     roots : folders that may be read
@@ -80,11 +82,6 @@ class Resources:
     ----------
     scene_path : the scene's file; its folder is searched last, with that of the ROS package that holds the file
     resource_paths : folders to search first; those of SEARCH_PATHS and of AMENT_PREFIX_PATH follow
-
-    Raises
-    ------
-    Error
-        if one of `resource_paths` is not a folder.
     """
 
     def __init__(self, scene_path: Path, resource_paths=()):
@@ -116,10 +113,7 @@ class Resources:
     def parse(self, path: Path):
         """Return the root element of an XML file; document types, entities and huge files are refused.
 
-        Raises
-        ------
-        Error
-            with the name of the file, and line and column of broken XML.
+        Raises Error with the name of the file, and line and column of broken XML.
         """
         from defusedxml.ElementTree import fromstring
 
@@ -201,16 +195,11 @@ class Resources:
         themselves; those of `package://` in the ROS package; relative URIs in `base`, then in the resource
         paths.
 
-        Parameters
-        ----------
+        Raises Error if it leads out of the resource paths and the scene's folder, after symbolic links are resolved.
+
         uri : as in the file
         base : folder of the file that holds the URI
         location : file and element of the URI, for messages
-
-        Raises
-        ------
-        Error
-            if it leads out of the resource paths and the scene's folder, after symbolic links are resolved.
         """
         scheme, _, rest = uri.rpartition("://")
         scheme = scheme.lower()  # by RFC 3986, capitals mean the same

@@ -18,15 +18,10 @@ MOVED = 0.01  # metres, or of a rotation's matrix: less is a model that has sett
 def apply_state(scope: Scope, world) -> str:
     """Move the models and links of a world to the poses of its first `<state>`; return in words what moved.
 
-    Parameters
-    ----------
+    Raises Error with file and element, if a pose is invalid.
+
     scope : of the world, filled, before poses of models are asked for
     world : its element
-
-    Raises
-    ------
-    Error
-        with file and element, if a pose is invalid.
     """
     state = world.find("state")
     if state is None:

@@ -197,8 +197,6 @@ class _Span:
 class _Tags:
     """The numbers in the tags of a sensor.
 
-    Attributes
-    ----------
     notes : what is no number, or no sonar's
     """
 

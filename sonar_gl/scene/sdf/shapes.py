@@ -98,10 +98,7 @@ def read_surface_properties(element, location: str) -> SurfaceProperties:
 
     `<laser_retro>` and the elements for single properties override the material's.
 
-    Raises
-    ------
-    Error
-        if an element or a material is unknown, or a number is invalid.
+    Raises Error if an element or a material is unknown, or a number is invalid.
     """
     check_extensions(element, EXTENSIONS, location)
 

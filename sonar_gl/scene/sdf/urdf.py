@@ -21,16 +21,13 @@ RETRO = "laserRetro", "laser_retro"
 def model_of(robot, location: str):
     """Return the SDF `<model>` element of a `<robot>`, its joints at zero.
 
+    Raises Error if there are no links, a link has two parents or is unknown, a geometry lacks a size, or an origin has
+    two rotations or other text than numbers.
+
     Parameters
     ----------
     robot : root element of a URDF file
     location : the file, with which messages begin
-
-    Raises
-    ------
-    Error
-        if there are no links, a link has two parents or is unknown, a geometry lacks a size, or an
-        origin has two rotations or other text than numbers.
 
     Notes
     -----

@@ -53,16 +53,11 @@ def split_arguments(what: str) -> tuple[str, dict[str, str]]:
 def expand(path: Path, arguments: dict[str, str], resources: Resources) -> bytes:
     """Return the XML that a xacro file expands to.
 
-    Parameters
-    ----------
+    Raises Error if the file is no valid xacro, lacks an argument, an expression is refused, or a file is missing.
+
     path : the file
     arguments : values of its `<xacro:arg>`
     resources : finds packages and included files
-
-    Raises
-    ------
-    Error
-        if the file is no valid xacro, lacks an argument, an expression is refused, or a file is missing.
     """
     try:
         return _Expansion(path, arguments, resources).xml()
