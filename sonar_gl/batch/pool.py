@@ -308,8 +308,8 @@ class Pool:
     ) -> None:
         """Make parts.
 
-        Raises, after the parts in progress are finished, Error if a step fails, such as for a full disk; MachineError if
-        processes die of a part again and again.
+        Raises Error if a step fails, such as for a full disk, MachineError if processes die of a part again and again;
+        both after the parts in progress are finished.
 
         parts : numbers of the parts, rising
         numbers : function (part) -> numbers of its pings
