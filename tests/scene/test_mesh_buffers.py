@@ -165,33 +165,20 @@ def test_materials_are_not_opened(tmp_path):
 def test_accessors_that_state_more_than_there_is_are_refused_at_once(tmp_path, suffix):
     """A few bytes could state any number, which trimesh would make arrays of."""
     path = tmp_path / f"a{suffix}"
-    for accessors, view, words in (
-        (
-            [{"bufferView": 0, "count": 10**9}],
-            {},
-            "(accessor 0 needs 12000000000 bytes for its count of 1000000000, ",
-        ),
-        (
-            [{"bufferView": 0, "count": 4}],
-            {},
-            "(accessor 0 needs 48 bytes for its count of 4, and the view has 36)",
-        ),
-        ([{"bufferView": 0, "count": 3, "byteOffset": 4}], {}, "needs 40 bytes for its count of 3, "),
-        ([{"bufferView": 0, "count": 3}], {"byteStride": 16}, "needs 44 bytes for its count of 3, "),
-        (
-            [{"bufferView": 0, "count": 10**400}],
-            {},
-            "for its count of a whole number of more than 300 digits, ",
-        ),
+    for accessor, view in (
+        ({"bufferView": 0, "count": 10**9}, {}),
+        ({"bufferView": 0, "count": 4}, {}),
+        ({"bufferView": 0, "count": 3, "byteOffset": 4}, {}),
+        ({"bufferView": 0, "count": 3}, {"byteStride": 16}),
+        ({"bufferView": 0, "count": 10**9}, {"byteStride": 1}),
+        ({"bufferView": 0, "count": 10**400}, {}),
     ):
-        with pytest.raises(Error) as caught:
-            sg.load_scene(with_accessors(path, *accessors, **view))
-        assert str(caught.value).startswith(f"{path}: an accessor must lie in its bufferView (")
-        assert words in str(caught.value)
+        message = error_of(sg.load_scene, with_accessors(path, accessor, **view))
+        assert message.startswith(f"{path}: trimesh cannot read this mesh (")
     zeros = {"count": 3_000_000}
     assert error_of(sg.load_scene, with_accessors(path, zeros, zeros)) == (
-        f"{path}: accessors without a bufferView must have at most 5000000 elements together (got accessor 1 with "
-        "3000000; they are zeros)"
+        f"{path}: accessors without a bufferView must have at most 5000000 elements together (got 6000000; they "
+        "are zeros)"
     )
 
 
