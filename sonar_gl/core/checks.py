@@ -50,7 +50,9 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "", shares: 
             raise _shape_error(what, shape, _parts_text(array), hint) from None
         got = shown(array) if isinstance(why, TypeError) else f"{type(array).__name__}: {why}"
         raise Error(f"{what} must be an array of numbers (got {got})") from None
-    if out.shape != shape and not _fits(out.shape, shape):
+    if len(out.shape) != len(shape) or any(
+        want not in (None, got) for want, got in zip(shape, out.shape, strict=True)
+    ):
         raise _shape_error(what, shape, out.shape, hint)
     if np.ma.is_masked(array):
         raise Error(f"{what} must be an array of numbers (got masked ones; fill them in, or leave them out)")
@@ -114,13 +116,6 @@ def _other_contents(array: np.ndarray) -> str | None:
     if array.dtype.kind == "O":
         return "text" if any(isinstance(one, (str, bytes)) for one in array.flat) else None
     return "records" if array.dtype.names else NO_NUMBERS.get(array.dtype.kind)
-
-
-def _fits(shape: tuple, wanted: tuple) -> bool:
-    """Return whether an array's shape is as wanted, where None allows any length."""
-    return len(shape) == len(wanted) and all(
-        want in (None, got) for want, got in zip(wanted, shape, strict=True)
-    )
 
 
 def check_kind(name: str, value, kind, cure: str):

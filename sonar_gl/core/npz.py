@@ -41,9 +41,7 @@ def read_npz(path: Path, kinds: Mapping[str, str]) -> NpzArrays:
             if n_bytes > max(MAX_BYTES, n_bytes_on_disk):
                 got = f"{n_bytes / 1e9:.1f} GB from {n_bytes_on_disk / 1e6:.1f} MB"
                 raise Error(f"its arrays must not exceed {MAX_BYTES / 1e9:g} GB (got {got})")
-            for name, info in chosen.items():
-                _check_member(archive, info, name, kinds[name])
-            arrays = {name: _read_member(archive, info) for name, info in chosen.items()}
+            arrays = {name: _read_member(archive, info, name, kinds[name]) for name, info in chosen.items()}
             return NpzArrays(arrays, tuple(members))
     except (OSError, Error):
         raise
@@ -51,8 +49,8 @@ def read_npz(path: Path, kinds: Mapping[str, str]) -> NpzArrays:
         raise Error("not an NPZ file") from None
 
 
-def _check_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str, kinds: str) -> None:
-    """Raise an exception unless the header of a member states the member's size and a permitted type."""
+def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str, kinds: str) -> np.ndarray:
+    """Return an array; raise an exception unless its header states the member's size and a permitted type."""
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ValueError("a compression that NumPy does not write")
     with archive.open(info) as file:
@@ -67,8 +65,5 @@ def _check_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str, ki
             raise Error(f"{name} must hold {wanted} (got {'Python objects' if dtype.hasobject else dtype})")
         if file.tell() + math.prod(shape) * dtype.itemsize != info.file_size:
             raise ValueError("a header of another size")
-
-
-def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
-    with archive.open(info) as file:
+        file.seek(0)
         return np.lib.format.read_array(file, allow_pickle=False)

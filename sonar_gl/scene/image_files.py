@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from contextlib import suppress
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,13 +19,6 @@ TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 TIFF_COLUMNS, TIFF_ROWS = 256, 257  # numbers of the tags
 
 
-class ImageSize(NamedTuple):
-    """The size of an image."""
-
-    n_columns: int
-    n_rows: int
-
-
 def read_image_file(path, what: str, kinds: str) -> np.ndarray:
     """Return an image as stored: (H, W), or (H, W, channels) in OpenCV's order, of the file's own type.
 
@@ -40,9 +32,9 @@ def read_image_file(path, what: str, kinds: str) -> np.ndarray:
     import cv2
 
     check_is_file(path)
-    image, size = None, _size_by_header(path, what, kinds)
-    if size.n_columns * size.n_rows > MAX_PIXELS:
-        got = f"{size.n_columns} x {size.n_rows}"
+    image, (n_columns, n_rows) = None, _size_by_header(path, what, kinds)
+    if n_columns * n_rows > MAX_PIXELS:
+        got = f"{n_columns} x {n_rows}"
         raise Error(f"{path}: {what} must have at most {MAX_PIXELS} pixels (got {got}; make it smaller)")
     with suppress(cv2.error):
         image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -51,8 +43,8 @@ def read_image_file(path, what: str, kinds: str) -> np.ndarray:
     return image
 
 
-def _size_by_header(path, what: str, kinds: str) -> ImageSize:
-    """Return the size of an image by its header; raise an `Error` if there is no such header."""
+def _size_by_header(path, what: str, kinds: str) -> tuple[int, int]:
+    """Return the columns and rows of an image by its header; raise an `Error` if there is no such header."""
     from PIL import Image
 
     try:
@@ -61,7 +53,7 @@ def _size_by_header(path, what: str, kinds: str) -> ImageSize:
             if file.read(4) in TIFF_SIGNATURES:
                 return _tiff_size(file)
             with Image.open(file, formats=FORMATS) as image:
-                return ImageSize(*image.size)
+                return image.size
     except Image.DecompressionBombError:
         most = 2 * Image.MAX_IMAGE_PIXELS
         raise Error(
@@ -71,8 +63,8 @@ def _size_by_header(path, what: str, kinds: str) -> ImageSize:
         raise _not_an_image(path, what, kinds) from None
 
 
-def _tiff_size(file) -> ImageSize:
-    """Return the size of a TIFF by its tags: `Image.open` refuses TIFF of 64 bits, which OpenCV reads."""
+def _tiff_size(file) -> tuple[int, int]:
+    """Return the columns and rows of a TIFF by its tags: `Image.open` refuses TIFF of 64 bits, which OpenCV reads."""
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
     file.seek(0)
@@ -82,7 +74,7 @@ def _tiff_size(file) -> ImageSize:
     tags = ImageFileDirectory_v2(header)
     file.seek(tags.next)
     tags.load(file)
-    return ImageSize(int(tags[TIFF_COLUMNS]), int(tags[TIFF_ROWS]))
+    return int(tags[TIFF_COLUMNS]), int(tags[TIFF_ROWS])
 
 
 def _not_an_image(path, what: str, kinds: str) -> Error:

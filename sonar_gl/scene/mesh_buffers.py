@@ -64,8 +64,7 @@ class MeshBuffers:
         except ValueError as why:  # a null character
             raise Error(f"{location} must name a file that can be read ({why})") from None
 
-    def __getitem__(self, uri: str) -> bytes:
-        return self.get(uri)
+    __getitem__ = get
 
 
 class NoFiles:
@@ -78,5 +77,4 @@ class NoFiles:
         """Raise a FileNotFoundError."""
         raise FileNotFoundError(name)
 
-    def __getitem__(self, name: str) -> bytes:
-        return self.get(name)
+    __getitem__ = get

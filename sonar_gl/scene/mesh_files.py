@@ -6,7 +6,6 @@ import io
 import logging
 import re
 from collections.abc import Collection
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -117,9 +116,8 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
         return _read_parts(_load_file(path, roots), path)
     except Error:
         raise
-    except (
-        Exception
-    ) as why:  # trimesh and its parsers raise anything, also when what they have read is looked at
+    # trimesh and its parsers raise anything, also when what they have read is looked at
+    except Exception as why:
         text = ": ".join(filter(None, (type(why).__name__, _first_line(why))))  # some have no text
         raise Error(f"{path}: trimesh cannot read this mesh ({text})") from None
 
@@ -146,10 +144,15 @@ def _load(source, **options):
     """Return the trimesh.Scene of a file, without materials."""
     import trimesh
 
-    with _without_log():
+    log = logging.getLogger("trimesh")
+    before = log.level
+    log.setLevel(logging.CRITICAL)  # it logs tracebacks about textures, which have no acoustic meaning
+    try:
         return trimesh.load(
             source, force="scene", process=False, skip_materials=True, split_objects=True, **options
         )
+    finally:
+        log.setLevel(before)
 
 
 def _end_of_binary_stl(path: Path) -> int | None:
@@ -291,15 +294,3 @@ def read_mesh(path, submesh: str | None = None, center: bool = False, roots: Col
         middle = (used.min(axis=0) + used.max(axis=0)) / 2
         shape = make_shape(mesh.vertices - middle, mesh.faces, normals)
     return shape
-
-
-@contextmanager
-def _without_log():
-    """Keep trimesh from logging: tracebacks about textures that it does not find, which have no acoustic meaning."""
-    log = logging.getLogger("trimesh")
-    before = log.level
-    log.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        log.setLevel(before)

@@ -277,8 +277,10 @@ def _check_data(data) -> None:
 
 def _parts(model) -> Iterator[Part]:
     """Yield what becomes of the model's geoms, in their order."""
-    carrier = _sonar(model)
-    left_out = 0 if carrier is None else _owner(model, carrier)
+    left_out = 0
+    if (carrier := _sonar(model)) is not None:
+        kind, number = carrier
+        left_out = int((model.site_bodyid if kind == "site" else model.cam_bodyid)[number])
     names = {_name(model, "body", body) for body in range(1, model.nbody)}
     parts: dict[tuple, Part] = {}
     for geom in range(model.ngeom):
@@ -391,33 +393,30 @@ def _shape(model, geom: int) -> Shape:
     )
 
 
-def _sonar(model) -> tuple[str, int] | None:
-    """Return the kind and number of the site or camera that is the sonar."""
+def _carriers(model) -> Iterator[tuple[str, int, str]]:
+    """Yield kind, number and name of all sites, then of all cameras."""
     for kind, count in (("site", model.nsite), ("camera", model.ncam)):
         for number in range(count):
-            name = getattr(model, kind)(number).name.lower()
-            if any(word in name for word in SONAR_WORDS):
-                return kind, number
+            yield kind, number, getattr(model, kind)(number).name
+
+
+def _sonar(model) -> tuple[str, int] | None:
+    """Return the kind and number of the site or camera that is the sonar."""
+    for kind, number, name in _carriers(model):
+        if any(word in name.lower() for word in SONAR_WORDS):
+            return kind, number
     return None
 
 
 def _named_carrier(model, name: str) -> tuple[str, int]:
     """Return the kind and number of the site of this name, else of the camera."""
     check_kind("name", name, str, "that of a site or camera of the MuJoCo model")
-    numbers = {}
-    for kind, count in (("camera", model.ncam), ("site", model.nsite)):
-        numbers |= {getattr(model, kind)(number).name: (kind, number) for number in range(count)}
-    numbers.pop("", None)
-    if name not in numbers:
-        known = nearest_names(name, numbers) if numbers else "there are none"
-        raise Error(f"name must be that of a site or camera of the MuJoCo model (got {name!r}; {known})")
-    return numbers[name]
-
-
-def _owner(model, carrier: tuple[str, int]) -> int:
-    """Return the number of the body that holds the sonar."""
-    kind, number = carrier
-    return int((model.site_bodyid if kind == "site" else model.cam_bodyid)[number])
+    found = [carrier for carrier in _carriers(model) if carrier[2]]
+    for kind, number, own in found:
+        if own == name:
+            return kind, number
+    known = nearest_names(name, {own for *_, own in found}) if found else "there are none"
+    raise Error(f"name must be that of a site or camera of the MuJoCo model (got {name!r}; {known})")
 
 
 def _sonar_pose(data, carrier: tuple[str, int]) -> np.ndarray:

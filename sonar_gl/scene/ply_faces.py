@@ -185,7 +185,9 @@ def _is_even(data: bytes, start: int, properties: list, count: int) -> bool:
     for number, (_, types) in enumerate(properties):
         n = 1
         if len(types) == 2:
-            n = _length(data, types[0], end)
+            n = int(np.frombuffer(data, types[0], 1, end)[0])
+            if n < 0:
+                raise ValueError("a list of negative length")
             fields.append((f"n{number}", types[0]))
             end += types[0].itemsize
         fields.append((f"values{number}", types[-1], (n,)))
@@ -194,10 +196,3 @@ def _is_even(data: bytes, start: int, properties: list, count: int) -> bool:
         return False
     rows = np.frombuffer(data, np.dtype(fields), count, start)
     return all((rows[name] == rows[name][:1]).all() for name in rows.dtype.names if name.startswith("n"))
-
-
-def _length(data: bytes, kind: np.dtype, start: int) -> int:
-    n = int(np.frombuffer(data, kind, 1, start)[0])
-    if n < 0:
-        raise ValueError("a list of negative length")
-    return n

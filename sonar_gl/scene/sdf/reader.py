@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -92,9 +91,14 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     A link may hold `<sonar_gl:bubbles>`, a plume, and a world `<sonar_gl:surface>`; see `extensions`.
     Elements without acoustic meaning are ignored.
     """
-    file = _find_file(path, resource_paths)
-    path, resources = file.path, file.resources
-    top, scope, beside = _read_root(resources, path, file.arguments)
+    text, arguments = split_arguments(str(path))
+    path = Path(text)
+    if path.is_dir():
+        name, resources = path.resolve().name, Resources(path / "model.sdf", resource_paths)
+        path = resources.file_of_model(path)
+    else:
+        name, resources = path.stem.removesuffix(".urdf"), Resources(path, resource_paths)
+    top, scope, beside = _read_root(resources, path, arguments)
     surface = {}
     for child in check_extensions(top, ("surface",), scope.location):
         surface = read_surface(child, scope.location_of("sonar_gl:surface"))
@@ -120,31 +124,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     _warn_of_angles(path, scope.large_angles)
     with errors_at(str(path)):
         sonar_pose, models = sensors[0].pose if sensors else None, dict(models_of(scope, np.eye(4)))
-        return Scene([*bodies, *plumes], sonar_pose, file.name, **surface, sensors=sensors, models=models)
-
-
-class _File(NamedTuple):
-    """A file that holds a scene.
-
-    path, arguments : of the file, and those of xacro that came with it
-    name : of the scene
-    resources : finds what the file refers to
-    """
-
-    path: Path
-    arguments: dict[str, str]
-    name: str
-    resources: Resources
-
-
-def _find_file(path, resource_paths) -> _File:
-    """Return the file that is meant by the arguments of `read_sdf`."""
-    text, arguments = split_arguments(str(path))
-    path = Path(text)
-    if not path.is_dir():
-        return _File(path, arguments, path.stem.removesuffix(".urdf"), Resources(path, resource_paths))
-    resources = Resources(path / "model.sdf", resource_paths)
-    return _File(resources.file_of_model(path), arguments, path.resolve().name, resources)
+        return Scene([*bodies, *plumes], sonar_pose, name, **surface, sensors=sensors, models=models)
 
 
 def _warn(path: Path, notes: Iterable[str]) -> None:

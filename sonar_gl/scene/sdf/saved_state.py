@@ -28,14 +28,13 @@ def apply_state(scope: Scope, world) -> str:
         return ""
     moved = _apply(scope, np.eye(4), state, scope.location_of("state"))
     said = [f"models stand where <state> says, as in Gazebo Classic ({some_names(moved)})"] if moved else []
-    scaled = [model.get("name") for model in state.iter("model") if not _is_one(model.findtext("scale"))]
+    scaled = [
+        model.get("name")
+        for model in state.iter("model")
+        if not all(re.fullmatch(r"1(\.0*)?", word) for word in (model.findtext("scale") or "").split())
+    ]
     said += [f"<scale> of <state> is left out ({some_names(scaled)})"] if scaled else []
     return "; ".join(said)
-
-
-def _is_one(scale: str | None) -> bool:
-    """Return whether the text of a `<scale>`, if there is one, leaves the size as it is."""
-    return all(re.fullmatch(r"1(\.0*)?", word) for word in (scale or "").split())
 
 
 def _apply(scope: Scope, world_from_scope: np.ndarray, state, location: str) -> list[str]:

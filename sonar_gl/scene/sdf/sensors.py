@@ -123,13 +123,12 @@ def read_sensor(sensor: SensorOfLink) -> tuple[SonarSensor, list[str]]:
     rate_hz = tags.number("update_rate")
     stated = tags.stated()
     name = (element.get("name") or "").strip()
-    if not stated:
-        return SonarSensor(name, link.model, pose, rate_hz=rate_hz or None), tags.notes
-    try:
-        sonar, assumed = _complete(name or "sensor", stated, sensor.location, tags.notes)
-    except Error as why:
-        tags.notes.append(f"{why}; the sonar is preset {DEFAULT_SONAR}")
-        return SonarSensor(name, link.model, pose, rate_hz=rate_hz or None), tags.notes
+    sonar, assumed = None, ()
+    if stated:
+        try:
+            sonar, assumed = _complete(name or "sensor", stated, sensor.location, tags.notes)
+        except Error as why:
+            tags.notes.append(f"{why}; the sonar is preset {DEFAULT_SONAR}")
     return SonarSensor(name, link.model, pose, sonar, rate_hz or None, assumed), tags.notes
 
 

@@ -13,12 +13,12 @@ import os
 import re
 from importlib.util import find_spec, module_from_spec
 from pathlib import Path
+from typing import NamedTuple
 from xml.parsers.expat import ExpatError
 
 from sonar_gl.core.errors import Error, nearest_of_many
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene.sdf.resources import GIVE_FOLDERS, SKIP_MISSING, Resources
-from sonar_gl.scene.sdf.xml_lines import line_of, parse_with_lines
 
 # What the library must have, so that nothing here is replaced in vain.
 REPLACED = "abs_filename_spec", "eval_extension", "load_yaml", "parse", "safe_eval"
@@ -82,13 +82,44 @@ def _location_of(why: Exception, path: Path) -> str:
     found, trace = None, why.__traceback__
     while trace is not None:
         variables = trace.tb_frame.f_locals
-        places = [line_of(variables[name]) for name in ELEMENTS if name in variables]
-        found = next(filter(None, places), found)
+        elements = [variables[name] for name in ELEMENTS if hasattr(variables.get(name), "getUserData")]
+        found = next(filter(None, (one.getUserData(_Line.__name__) for one in elements)), found)
         trace = trace.tb_next
     if found is None:
         return f"{path}"
     file, line, tag = found
     return f"{path}: {'' if file == str(path) else f'{file}: '}line {line}, <{tag}>"
+
+
+class _Line(NamedTuple):
+    """Where an element stands: file, line, and the tag that it had there. Copies of the element have it, too."""
+
+    file: str
+    line: int
+    tag: str
+
+    def handle(self, _operation, key, _data, _source, copy) -> None:
+        """Give a copy of the element this line, as the DOM's handler of it."""
+        copy.setUserData(key, self, self)
+
+
+def _parse_with_lines(xml: bytes, file: str):
+    """Return the document of an XML file whose elements have their _Line; document types and entities are refused.
+
+    Raises ExpatError if the XML is broken, DefusedXmlException if it declares a document type or entities.
+    """
+    from defusedxml.expatbuilder import DefusedExpatBuilderNS
+
+    builder = DefusedExpatBuilderNS(forbid_dtd=True)
+    start = builder.start_element_handler
+
+    def start_with_line(name, attributes):
+        start(name, attributes)
+        line = _Line(file, builder.getParser().CurrentLineNumber, builder.curNode.tagName)
+        builder.curNode.setUserData(_Line.__name__, line, line)
+
+    builder.start_element_handler = start_with_line
+    return builder.parseString(xml)
 
 
 class _Arguments(dict):
@@ -155,7 +186,7 @@ class _Expansion:
         path = self._allowed(name)
         xml = self.resources.read(path)
         try:
-            return parse_with_lines(xml, name)
+            return _parse_with_lines(xml, name)
         except (ExpatError, DefusedXmlException):
             # raises the error of any broken file; else the file is one that Gazebo reads all the same
             return parseString(tostring(self.resources.parse_xml(xml, path)))
