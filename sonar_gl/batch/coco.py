@@ -25,20 +25,11 @@ END = b"]\n"
 
 
 def coco_records(
-    ids: np.ndarray,
-    class_of_body,
-    image_id: int,
-    file_name: str,
-    names=None,
-    echo=None,
-    own_share=None,
-    **more,
+    ids: np.ndarray, class_of_body, image_id: int, file_name: str, names, echo, own_share, **more
 ) -> tuple[dict, list[dict]]:
     """Return COCO's records of one fan image and of the bodies in it.
 
-    Bodies that are one instance have the number of the first one.
-
-    Raises Error if a number has no class.
+    Bodies that are one instance have the number of the first one. Raises Error if a number has no class.
 
     Parameters
     ----------
@@ -47,7 +38,7 @@ def coco_records(
     image_id : unique number, 0 or more
     file_name : path of the picture from the folder of images
     names, echo, own_share : of each body by number its name, its echo as in `Ping.body_echo`, and the share of its own
-        echo in what its bins hold; or None
+        echo in what its bins hold
     more : plain values to add to the image
 
     Returns
@@ -57,47 +48,33 @@ def coco_records(
         [x, y, w, h] and area in whole pixels, iscrowd, segmentation; and fields that COCO does not have:
         body_id, body (its name), echo and own_share
     """
-    ids = np.asarray(ids)
     height, width = ids.shape
-    image = {"id": int(image_id), "file_name": str(file_name), "height": height, "width": width, **more}
-    down = ids.ravel(order="F")
-    starts = np.append(0, np.flatnonzero(down[1:] != down[:-1]) + 1)
-    edges, bodies = np.column_stack([starts, np.append(starts[1:], down.size)]), down[starts]
-    found, classes = np.unique(bodies).tolist(), np.asarray(class_of_body)
-    if found[-1] >= len(classes):
-        raise Error(f"bodies of a mask must have a class each (got body {found[-1]} of {len(classes)} known)")
-    found = [body for body in found if body > 0 and classes[body] > 0]
-    if not found:
-        return image, []
-    runs = [_run_lengths(edges[bodies == body], down.size) for body in found]
-    packed = mask.frPyObjects([{"counts": run, "size": [height, width]} for run in runs], height, width)
-    annotations = []
-    for body, area, box, one in zip(found, mask.area(packed), mask.toBbox(packed), packed, strict=True):
-        annotation = {
-            "id": int(image_id) * IDS_PER_IMAGE + body,
-            "image_id": int(image_id),
-            "category_id": int(classes[body]),
-            "bbox": [int(edge) for edge in box],
-            "area": int(area),
-            "iscrowd": 0,
-            "segmentation": {"size": [height, width], "counts": one["counts"].decode("ascii")},
-            "body_id": body,
-        }
-        if names is not None:
-            annotation["body"] = str(names[body])
-        if echo is not None:
-            annotation["echo"] = float(f"{echo[body]:.6g}")
-        if own_share is not None:
-            annotation["own_share"] = round(float(own_share[body]), 3)
-        annotations.append(annotation)
+    image = {"id": image_id, "file_name": file_name, "height": height, "width": width, **more}
+    down, annotations = np.asfortranarray(ids), []
+    if (last := ids.max()) >= len(class_of_body):
+        raise Error(
+            f"bodies of a mask must have a class each (got body {last} of {len(class_of_body)} known)"
+        )
+    for body in np.flatnonzero(np.bincount(ids.ravel())).tolist():
+        if body == 0 or class_of_body[body] == 0:
+            continue
+        packed = mask.encode((down == body).view(np.uint8))
+        annotations.append(
+            {
+                "id": image_id * IDS_PER_IMAGE + body,
+                "image_id": image_id,
+                "category_id": int(class_of_body[body]),
+                "bbox": [int(edge) for edge in mask.toBbox(packed)],
+                "area": int(mask.area(packed)),
+                "iscrowd": 0,
+                "segmentation": {"size": [height, width], "counts": packed["counts"].decode("ascii")},
+                "body_id": body,
+                "body": names[body],
+                "echo": float(f"{echo[body]:.6g}"),
+                "own_share": round(float(own_share[body]), 3),
+            }
+        )
     return image, annotations
-
-
-def _run_lengths(edges: np.ndarray, total: int) -> list[int]:
-    """Return the lengths of runs alternately outside and inside (n, 2) intervals, beginning outside."""
-    counts = np.diff(edges.ravel(), prepend=0).tolist()
-    rest = total - int(edges[-1, 1])
-    return [*counts, rest] if rest else counts
 
 
 def coco_lines(image: dict, annotations: list[dict]) -> bytes:
@@ -138,8 +115,7 @@ def coco_json(parts: Iterable[Callable], categories: list[dict], info: dict) -> 
 
 def mask_picture(ids: np.ndarray) -> np.ndarray:
     """Return a (H, W) picture of the bodies' numbers, uint8 if all are below 256, otherwise uint16."""
-    ids = np.asarray(ids)
-    return ids.astype(np.uint8 if ids.max(initial=0) < 256 else np.uint16)
+    return ids.astype(np.uint8 if ids.max() < 256 else np.uint16)
 
 
 def _json(value) -> bytes:

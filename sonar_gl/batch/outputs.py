@@ -29,14 +29,7 @@ from sonar_gl.imaging.fan_image import fan_image
 from sonar_gl.imaging.files import npz_bytes, png_bytes, save_animation
 from sonar_gl.noise.reception import receiver_power
 from sonar_gl.ping import Ping
-from sonar_gl.ros.bag import (
-    BagSettings,
-    CameraRecord,
-    PingRecord,
-    bag_metadata,
-    read_contents,
-    write_part,
-)
+from sonar_gl.ros.bag import BagSettings, CameraRecord, PingRecord, bag_metadata, read_contents, write_part
 
 MAX_DEPTH_M = 65.5355  # of 16 bits in millimetres, rounded
 
@@ -49,13 +42,6 @@ def ping_file(folder: str, number: int, suffix: str) -> str:
 class Output:
     """Base class of outputs; it writes nothing.
 
-    Parameters
-    ----------
-    requests, schema : of the job
-    folder : folder of the batch
-
-    Attributes
-    ----------
     names : names of the files of the current part, in the folder
     """
 
@@ -278,12 +264,6 @@ class CocoOutput(CountsOutput):
 class OpticalOutput(Output):
     """RGB and depth of a camera on the vehicle.
 
-    Parameters
-    ----------
-    device : as for `OpticalCamera`
-
-    Attributes
-    ----------
     records : number of the ping -> CameraRecord, for the pings of the part, if the job has a ROS bag
     """
 

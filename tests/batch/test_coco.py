@@ -41,8 +41,8 @@ def id_map(seed):
 
 
 def records(number):
-    echo = {"names": NAMES, "echo": ECHO}
-    return coco_records(id_map(number), CLASSES, number, f"png/{number:08d}.png", **echo, sonar="fls")
+    of_bodies = NAMES, ECHO, [0.5] * len(NAMES)
+    return coco_records(id_map(number), CLASSES, number, f"png/{number:08d}.png", *of_bodies, sonar="fls")
 
 
 def join(parts, path, categories, info):
@@ -90,7 +90,7 @@ def test_boxes_and_masks_are_those_of_the_id_map(joined):
                 "iscrowd": 0,
             }
             rest |= {"bbox": box, "area": len(rows), "body": NAMES[body], "echo": round(ECHO[body], 6)}
-            rest |= {"segmentation": one["segmentation"], "body_id": body}
+            rest |= {"own_share": 0.5, "segmentation": one["segmentation"], "body_id": body}
             assert one == rest
 
 
@@ -110,7 +110,7 @@ def test_run_lengths_are_those_of_pycocotools():
     for shape in [(1, 1), (1, 9), (9, 1), (13, 17), (300, 200)]:
         for share in (0.0, 0.1, 0.6, 1.0):
             ids = rng.integers(1, 60, shape).astype(np.uint16) * (rng.random(shape) < share)
-            _, annotations = coco_records(ids, [0] + [1] * 60, 7, "a.png")
+            _, annotations = coco_records(ids, [0] + [1] * 60, 7, "a.png", *[[0] * 61] * 3)
             assert [one["body_id"] for one in annotations] == [b for b in np.unique(ids).tolist() if b]
             for one in annotations:
                 expected = mask.encode(np.asfortranarray(ids == one["body_id"], np.uint8))
@@ -136,7 +136,7 @@ def test_a_damaged_line_is_named(parts, tmp_path):
     with pytest.raises(sg.Error, match=r"broken, line 12: must be a COCO record \(got b'\[\"annotation\", "):
         join([parts[1], broken], path, CATEGORIES, {})
     with pytest.raises(sg.Error, match=r"^bodies of a mask must have a class each \(got body 4 of 3 known\)"):
-        coco_records(id_map(0), CLASSES[:3], 0, "a.png")
+        coco_records(id_map(0), CLASSES[:3], 0, "a.png", NAMES, ECHO, ECHO)
 
 
 def test_annotations_are_not_kept_in_memory():
