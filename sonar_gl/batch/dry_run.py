@@ -9,7 +9,6 @@ import numpy as np
 
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.job import Job
-from sonar_gl.batch.job_scenes import SceneContents
 from sonar_gl.batch.job_warnings import job_warnings
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.pool import Pool
@@ -28,10 +27,7 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
     requests = BatchRequests(job)
     for text in job_warnings(requests):
         report(text)
-    with (
-        tempfile.TemporaryDirectory() as url,
-        Pool(job.plain, url, devices, report, is_dry_run=True) as pool,
-    ):
+    with tempfile.TemporaryDirectory() as url, Pool(job.plain, url, devices, report, is_dry_run=True) as pool:
         manifest = pool.call("begin")
         manifest.save(Folder(url))
         pool.call("create")
@@ -44,7 +40,9 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         lines.append(f"pings {first}..{last}: scene {job.scenes[run.scene]}, {start_s:g} to {end_s:g} s")
     if job.changes_scenes:
         for name, contents in zip(job.scenes, requests.scenes.contents, strict=True):
-            lines.append(f"scene {name}: {_contents_text(contents)}")
+            z_m = contents.surface_z_m
+            surface = "" if z_m is None else f"; the water's surface at z = {z_m:g} m"
+            lines.append(f"scene {name}: {', '.join(contents.names)}{surface}")
     for scene, views in enumerate(surveys):
         for name, sonar in requests.sonars.items():
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
@@ -146,12 +144,6 @@ def _seen_text(seen: SeenClasses) -> str:
 def _pose_text(pose: np.ndarray) -> str:
     """Return a pose as --pose takes it."""
     return repr(" ".join(f"{x + 0.0:.4g}" for x in pose_numbers(pose)))
-
-
-def _contents_text(contents: SceneContents) -> str:
-    """Return what is in a scene: its bodies, plumes, and water's surface."""
-    z_m = contents.surface_z_m
-    return ", ".join(contents.names) + ("" if z_m is None else f"; the water's surface at z = {z_m:g} m")
 
 
 def _amount(size: float) -> str:

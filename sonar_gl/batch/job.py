@@ -50,7 +50,7 @@ LAYERS = ("body", "class", "elevation", "range", "incidence", "share", "shadow",
 # ---- values -----------------------------------------------------------------------------------------
 
 
-def _check_varied(value, low: float = -math.inf, high: float = math.inf):
+def _check_varied(value, low: float, high: float):
     bounds = value if isinstance(value, list) else [value, value]
     if len(bounds) != 2 or not all(map(is_finite, bounds)) or bounds[0] > bounds[1]:
         raise ValueError("should be a number, or [low, high]")
@@ -82,20 +82,19 @@ def _check_colormap(name: str) -> str:
     return name
 
 
-# A varied value is one number, or [low, high] for a uniform random draw in each ping.
-Varied = Annotated[Any, BeforeValidator(_check_varied)]
-VariedShare = Annotated[Any, BeforeValidator(partial(_check_varied, low=0.0, high=1.0))]
-VariedMetres = Annotated[
-    Any, BeforeValidator(partial(_check_varied, low=-1e8, high=1e8)), Field(description=METRES)
-]
-VariedRadians = Annotated[
-    Any, BeforeValidator(partial(_check_varied, low=-6.283, high=6.283)), Field(description=RADIANS)
-]
-VariedScale = Annotated[
-    Any,
-    BeforeValidator(partial(_check_varied, low=0.01, high=100.0)),
-    Field(description="1 is the size in the scene"),
-]
+def _varied(low: float = -math.inf, high: float = math.inf, cure: str | None = None):
+    """Return the type of one number, or of [low, high] for a uniform random draw in each ping, within bounds."""
+    check = partial(_check_varied, low=low, high=high)
+    return Annotated[Any, BeforeValidator(check), Field(description=cure)]
+
+
+Varied, VariedShare, VariedScale = (
+    _varied(),
+    _varied(0.0, 1.0),
+    _varied(0.01, 100.0, "1 is the size in the scene"),
+)
+VariedMetres, VariedRadians = _varied(-1e8, 1e8, METRES), _varied(-6.283, 6.283, RADIANS)
+Height = Annotated[int, Field(ge=16, le=8192)]  # pixels
 CountsChanges = Annotated[dict, BeforeValidator(_check_counts)]
 # one name alone is a list of one
 PathFiles = Annotated[
@@ -135,7 +134,6 @@ class MovedTable(Table):
     roll_rad, pitch_rad, yaw_rad : rotations about the body's own axes
     scale : times the size, about the point about which the bodies turn
     there : probability that the bodies are present
-    reflectivity : reflectivity of the bodies
     """
 
     names: Names
@@ -155,15 +153,11 @@ class MovedTable(Table):
     reflectivity: VariedShare = None
 
     @model_validator(mode="after")
-    def _check_apart(self):
+    def _check_exclusive(self):
         if self.apart and self.one_of:
             raise ValueError(
                 "apart and one_of exclude each other (got both; leave apart out: one alone moves)"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _check_path(self):
         if self.path is not None and self.clearance_m is not None:
             raise ValueError(
                 "path and clearance_m exclude each other (got both; leave clearance_m out: a path is not drawn again)"
@@ -175,7 +169,6 @@ class VaryTable(Table):
     """What changes from ping to ping, by uniform random draws.
 
     hold_pings : consecutive pings of a path that have the draws of the first of them; None for new draws in each ping
-    bodies : bodies that move
     water : fields of `Water`
     noise : fields of `Noise`
     """
@@ -203,7 +196,7 @@ class LabelsTable(Table):
     )
     classes: dict[str, Names] = Field({})
     background: Names = None
-    height: Annotated[int, Field(ge=16, le=8192)] = 512
+    height: Height = 512
     level_db: Annotated[float, Field(ge=-LEVEL_BOUND_DB, le=LEVEL_BOUND_DB)] = None
 
     @model_validator(mode="after")
@@ -231,7 +224,7 @@ class PicturesTable(Table):
     REPLACED: ClassVar = REPLACED_BY_COUNTS
 
     formats: Annotated[list[Literal["png", "npz", "mp4"]], Field(min_length=1)] = Field(["png"])
-    height: Annotated[int, Field(ge=16, le=8192)] = 800
+    height: Height = 800
     counts: CountsChanges = Field({})
     colormap: Annotated[str, AfterValidator(_check_colormap)] = DEFAULT_COLORMAP
     axes: bool = False
@@ -261,7 +254,7 @@ class CocoTable(Table):
 
     REPLACED: ClassVar = REPLACED_BY_COUNTS
 
-    height: Annotated[int, Field(ge=16, le=8192)] = 512
+    height: Height = 512
     min_area: Annotated[int, Field(ge=1)] = None
     counts: CountsChanges = Field({})
 
@@ -282,8 +275,8 @@ class RosTable(Table):
 class OpticalTable(Table):
     """A camera on the vehicle: RGB as PNG, depth as 16-bit PNG in millimetres."""
 
-    width: Annotated[int, Field(ge=16, le=8192)] = 640
-    height: Annotated[int, Field(ge=16, le=8192)] = 480
+    width: Height = 640
+    height: Height = 480
     fov_x_rad: Annotated[float, Field(gt=0.01, lt=3.0)] = 1.2
     mount: Mount = Field([0.0] * 6)
 

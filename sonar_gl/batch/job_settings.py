@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,35 +21,14 @@ from sonar_gl.sonar.sonar import Sonar
 from sonar_gl.sonar.sonar_files import load_sonar, split_sonar
 
 
-@dataclass(frozen=True, eq=False)
-class JobSettings:
-    """What all pings of a job have in common.
-
-    sonars : name -> Sonar, in the order of the job
-    mounts : name -> (4, 4) vehicle_from_sonar
-    acoustics, noise : those of the job, before variation
-    """
-
-    sonars: dict[str, Sonar]
-    mounts: dict[str, np.ndarray]
-    acoustics: Acoustics
-    noise: Noise
-
-
-def load_settings(job: Job) -> JobSettings:
-    """Return the settings of a job, whose sonars may be in files.
-
-    Raises Error if one is unknown or invalid, or they do not go with each other; the message names file and table.
-    """
-    sonars, mounts = _load_sonars(job)
-    noise, acoustics = _build_noise(job), _build_acoustics(job)
+def check_settings(job: Job, sonars: dict[str, Sonar], acoustics: Acoustics, noise: Noise) -> None:
+    """Raise an Error if settings of a job do not go with its sonars."""
     with errors_at(f"{job.where}: noise"):
         for sonar in sonars.values():  # those of which the noise needs more than they have
             receiver_levels_db(noise, sonar, acoustics)
     for output, table in job:
         if hasattr(table, "counts"):
             counts_of_output(job, sonars, output)
-    return JobSettings(sonars, mounts, acoustics, noise)
 
 
 def counts_of_output(job: Job, sonars: dict[str, Sonar], output: str) -> dict[str, Counts]:
@@ -68,8 +47,8 @@ def can_only_be_file(name: str) -> bool:
     return Path(name).suffix != "" or len(Path(name).parts) > 1
 
 
-def _load_sonars(job: Job) -> tuple[dict[str, Sonar], dict[str, np.ndarray]]:
-    """Return the sonars of a job by name, and their mounts."""
+def load_sonars(job: Job) -> tuple[dict[str, Sonar], dict[str, np.ndarray]]:
+    """Return the sonars of a job by name, and their mounts, (4, 4) vehicle_from_sonar."""
     sonars, mounts = {}, {}
     for k, table in enumerate(job.sonars):
         where = f"{job.where}: sonars[{k}]"
@@ -94,7 +73,8 @@ def _load_sonar(job: Job, table: SonarTable, where: str) -> Sonar:
         return sonar.with_range(table.range_m, table.bins)
 
 
-def _build_acoustics(job: Job) -> Acoustics:
+def build_acoustics(job: Job) -> Acoustics:
+    """Return the acoustics of a job, before variation."""
     where = f"{job.where}: acoustics"
     check_moved(where, job.acoustics)
     if "water" in job.acoustics:
@@ -102,7 +82,8 @@ def _build_acoustics(job: Job) -> Acoustics:
     return build(Acoustics, {**job.acoustics, "water": build(Water, job.water, f"{job.where}: water")}, where)
 
 
-def _build_noise(job: Job) -> Noise:
+def build_noise(job: Job) -> Noise:
+    """Return the noise of a job, before variation."""
     settings, where = dict(job.noise), f"{job.where}: noise"
     preset = settings.pop("preset", "none")
     if not isinstance(preset, str) or preset not in PRESETS:

@@ -52,8 +52,6 @@ class Batch:
 
     Parameters
     ----------
-    requests : of the job
-    folder : folder of the batch
     device : index of an EGL device, or None for the default
     any_system : make parts also with another engine, driver or libraries than those that began the batch
 
@@ -63,11 +61,7 @@ class Batch:
     """
 
     def __init__(
-        self,
-        requests: BatchRequests,
-        folder: Folder,
-        device: int | None = None,
-        any_system: bool = False,
+        self, requests: BatchRequests, folder: Folder, device: int | None = None, any_system: bool = False
     ):
         self.requests, self.folder, self.device, self.any_system = requests, folder, device, any_system
         check_groups(len(requests.sonars))
@@ -139,7 +133,6 @@ def reported_warnings(
 class _Part:
     """A part that is being made.
 
-    numbers : numbers of its pings
     rows : (pings, width) rows of the ping table
     failed : number of each ping that is set aside -> why; grows
     one_by_one : whether each ping is reported before it is made
@@ -194,7 +187,6 @@ class PartMaker:
 
         set_aside : numbers of pings to leave out -> why
         one_by_one : make and report each ping alone, so that it is known which one kills the process
-        report : see `Report`
         """
         numbers = self._batch.manifest.numbers(part)
         requests = [self._batch.requests[number] for number in numbers]

@@ -12,7 +12,7 @@ from sonar_gl.acoustics.water import Water
 from sonar_gl.batch.body_paths import load_body_paths
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.job_scenes import JobScenes
-from sonar_gl.batch.job_settings import load_settings
+from sonar_gl.batch.job_settings import build_acoustics, build_noise, check_settings, load_sonars
 from sonar_gl.batch.random_streams import NOISE_STREAM, VARY_STREAM, generator, seed_of
 from sonar_gl.batch.trajectory_runs import load_trajectories, runs_of
 from sonar_gl.batch.variation import check_varied_fields, draw_fields
@@ -25,14 +25,11 @@ from sonar_gl.noise.settings import Noise
 class BatchRequest:
     """The request for one ping of a batch, common to all sonars of the job.
 
-    number : number of the ping in the job, from 0 on
     scene : index into the job's scenes
-    time_s : time of transmission
     vehicle_pose : (4, 4) world_from_vehicle
     bodies, reflectivity : changes in this ping, as in `PingRequest`
     unplaced : names of bodies that are absent since no place was clear
     water : Water of this ping, or None for that of the job
-    noise : noise of this ping
     """
 
     number: int
@@ -76,17 +73,18 @@ class BatchRequests(Sequence):
 
     Raises Error if the job names something unknown or invalid; the message names file and table. See also `JobScenes`.
 
-    job : Job
-    sonars, mounts, acoustics, noise : of the job, as in `JobSettings`
+    sonars : name -> Sonar, in the order of the job
+    mounts : name -> (4, 4) vehicle_from_sonar
+    acoustics, noise : of the job, before variation
     scenes : JobScenes, which are read when they are first used
     trajectories : Trajectory of each table of poses
     runs : the runs of the job, in order: along each trajectory, one for each of its scenes
     """
 
     def __init__(self, job: Job):
-        settings = load_settings(job)
-        self.job, self.sonars, self.mounts = job, settings.sonars, settings.mounts
-        self.acoustics, self.noise = settings.acoustics, settings.noise
+        self.job, (self.sonars, self.mounts) = job, load_sonars(job)
+        self.noise, self.acoustics = build_noise(job), build_acoustics(job)
+        check_settings(job, self.sonars, self.acoustics, self.noise)
         self.trajectories = load_trajectories(job)
         check_varied_fields(job, self.acoustics, self.noise)
         self.runs = runs_of(job, self.trajectories)
@@ -111,20 +109,10 @@ class BatchRequests(Sequence):
             noise = replace(self.noise, **noise)
         bodies, reflectivity, unplaced = {}, {}, []
         if vary.bodies:
-            moved = self.scenes.moved_bodies(run.scene)
-            on_path_s = run.time_on_trajectory_s(number)
-            drawn_for = drawn, random, run.numbers.start, on_path_s
-            bodies, reflectivity, unplaced = moved.draw(*drawn_for)
+            moved, on_path_s = self.scenes.moved_bodies(run.scene), run.time_on_trajectory_s(number)
+            bodies, reflectivity, unplaced = moved.draw(drawn, random, run.numbers.start, on_path_s)
         return BatchRequest(
-            number,
-            run.scene,
-            time_s,
-            vehicle_pose,
-            bodies,
-            reflectivity,
-            unplaced,
-            water,
-            noise,
+            number, run.scene, time_s, vehicle_pose, bodies, reflectivity, unplaced, water, noise
         )
 
     def noise_seed(self, sonar: str) -> int:

@@ -97,20 +97,6 @@ def _count_steps(values, per_step, missing, out):
         out[k] = missing if value != value else np.int32(np.rint(value * per_step))
 
 
-def _take(table: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Return table[numbers]."""
-    out = np.empty(numbers.shape, table.dtype)
-    _take_each(table, numbers.ravel(), out.ravel())
-    return out
-
-
-@compiled
-def _take_each(table, numbers, out):
-    """Look up in one pass; NumPy would first make 64-bit indices."""
-    for k in range(numbers.size):
-        out[k] = table[numbers[k]]
-
-
 def bin_layers(
     names: Iterable[str],
     sonar: Sonar,
@@ -133,7 +119,7 @@ def bin_layers(
         return np.where(found > 0, found + np.asarray(first, body_dtype), found) if first else found
 
     def encode_class(ping, class_id, _first):
-        return _take(class_id, ping.body_id)
+        return np.take(class_id, ping.body_id)
 
     def layer(name, dtype, encode, long_name, fill=0, **more):
         dims, attributes = ("beam", "range"), {"long_name": long_name, **more}

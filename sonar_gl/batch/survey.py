@@ -105,24 +105,20 @@ def _see_classes(batch: Batch, scene: int, count: int, report: Report) -> list[S
     for first in range(0, len(numbers), n_part):
         batch.maker.make_sample(numbers[first : first + n_part], report)
     batch.maker.outputs.remove(labelled)  # a batch does not spend time on it
-    return [_seen_classes(batch, scene, sonar, bins) for sonar, bins in labelled.counts.items()]
-
-
-def _seen_classes(batch: Batch, scene: int, sonar: str, bins: list[np.ndarray]) -> SeenClasses:
-    """Return in how many pings the classes are seen, given the bins of each class in each ping."""
-    schema, counts, found = batch.schema, np.array(bins), []
-    for number in sorted({*schema.scene_class_id(scene).tolist()} - {0}):
-        where_seen = counts[counts[:, number] > 0, number]
-        median = int(np.median(where_seen)) if len(where_seen) else 0
-        found.append(SeenClass(schema.classes[number - 1], len(where_seen), median))
-    return SeenClasses(scene, sonar, len(bins), sorted(found, key=lambda one: one.n_pings))
+    schema, out = batch.schema, []
+    for sonar, bins in labelled.counts.items():
+        counts, found = np.array(bins), []
+        for number in sorted({*schema.scene_class_id(scene).tolist()} - {0}):
+            where_seen = counts[counts[:, number] > 0, number]
+            median = int(np.median(where_seen)) if len(where_seen) else 0
+            found.append(SeenClass(schema.classes[number - 1], len(where_seen), median))
+        out.append(SeenClasses(scene, sonar, len(bins), sorted(found, key=lambda one: one.n_pings)))
+    return out
 
 
 class HardView(NamedTuple):
     """What the view of a ping needs.
 
-    number : of the ping
-    sonar : its name
     n_samples : samples that the tolerance takes
     error_estimate : estimated error with them
     body : name of the body that is nearest to its bound; empty if the whole ping is

@@ -8,7 +8,7 @@ import numpy as np
 
 from sonar_gl.batch.job import Job
 from sonar_gl.batch.random_streams import VIEWS_STREAM, seed_of
-from sonar_gl.batch.trajectories import FileTrajectory, Trajectory, build_trajectory
+from sonar_gl.batch.trajectories import Trajectory, build_trajectory
 from sonar_gl.core.checks import check_choice, shown
 from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import MAX_TIME_S
@@ -22,8 +22,6 @@ class TrajectoryRun:
     """Consecutive pings along one trajectory in one scene.
 
     scene : index into the job's scenes
-    trajectory : Trajectory
-    numbers : numbers of the pings in the job
     delay_s : added to the times of the trajectory
     """
 
@@ -44,7 +42,16 @@ class TrajectoryRun:
 
 def load_trajectories(job: Job) -> list[Trajectory]:
     """Return the trajectory of each table of poses; an Error names file, table and key of what is wrong in one."""
-    return [_load_trajectory(job, index) for index in range(len(job.poses))]
+    out, n_views = [], 0
+    for index, table in enumerate(map(dict, job.poses)):
+        if isinstance(table.get("file"), str):  # of others the trajectory says what is wrong
+            table["file"] = str(job.path(table["file"]))
+        if table.get("kind") == "random_views":
+            seed = seed_of(np.uint64, job.seed, VIEWS_STREAM, n_views) if n_views else job.seed
+            table.setdefault("seed", seed)
+            n_views += 1
+        out.append(build_trajectory(table, job.where, index))
+    return out
 
 
 def runs_of(job: Job, trajectories: list[Trajectory]) -> list[TrajectoryRun]:
@@ -54,8 +61,11 @@ def runs_of(job: Job, trajectories: list[Trajectory]) -> list[TrajectoryRun]:
 
     Raises Error if a table of poses names no scene of the job, if a scene has no poses, or if a time cannot be stored.
     """
-    if job.ros is not None:
-        _check_times_for_bag(job, trajectories)
+    # a bag holds no negative times; only a file has such, and later runs begin after it
+    if job.ros is not None and (first_s := trajectories[0].time_s(0)) < 0:
+        raise Error(
+            f"{job.where}: poses[0].file must hold times from 0 on, for a bag (got {first_s:g} s; shift them)"
+        )
     runs, first, delay_s, last_s = [], 0, 0.0, None
     for trajectory, in_scenes in zip(trajectories, _scenes_of_poses(job), strict=True):
         for scene in in_scenes:
@@ -66,21 +76,6 @@ def runs_of(job: Job, trajectories: list[Trajectory]) -> list[TrajectoryRun]:
             last_s = trajectory[len(trajectory) - 1][0] + delay_s
     _check_last_time(job, last_s)
     return runs
-
-
-def _load_trajectory(job: Job, index: int) -> Trajectory:
-    table = dict(job.poses[index])
-    if isinstance(table.get("file"), str):  # of others the trajectory says what is wrong
-        table["file"] = str(job.path(table["file"]))
-    if table.get("kind") == "random_views":
-        table.setdefault("seed", _views_seed(job, index))
-    return build_trajectory(table, job.where, index)
-
-
-def _views_seed(job: Job, index: int) -> int:
-    """Return the seed of a table of random views that states none: of the first one it is that of the job."""
-    before = sum(table.get("kind") == "random_views" for table in job.poses[:index])
-    return job.seed if before == 0 else seed_of(np.uint64, job.seed, VIEWS_STREAM, before)
 
 
 def _scenes_of_poses(job: Job) -> list[list[int]]:
@@ -104,15 +99,6 @@ def _scenes_of_poses(job: Job) -> list[list[int]]:
             "its scenes; name it in one, or leave it out)"
         )
     return found
-
-
-def _check_times_for_bag(job: Job, trajectories: list[Trajectory]) -> None:
-    """Check that the first time of the first run is not negative, which a bag cannot hold; later ones never fall."""
-    first = trajectories[0]
-    if isinstance(first, FileTrajectory) and (time_s := first.times_s[0]) < 0:
-        raise Error(
-            f"{job.where}: poses[0].file must hold times from 0 on, for a bag (got {time_s:g} s; shift them)"
-        )
 
 
 def _check_last_time(job: Job, time_s: float) -> None:
