@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import chain
 from typing import NamedTuple
 
 import cv2
@@ -123,26 +122,14 @@ class _Bar:
     law: Counts
     gain_varies: bool
 
-    @property
-    def labels(self) -> list[str]:
-        """The labels at 0, 1/4, 1/2, 3/4 and all of full scale."""
-        return _bar_labels(self.law)
-
-    @property
-    def possible_labels(self) -> list[str]:
-        """The labels of this ping, and the widest that other pings of the sonar may have."""
-        gains_db = (-LEVEL_BOUND_DB, LEVEL_BOUND_DB) if self.gain_varies else ()
-        others = [_bar_labels(replace(self.law, gain_db=gain_db)) for gain_db in gains_db]
-        return [*self.labels, *chain.from_iterable(others)]
-
-
-def _bar_labels(law: Counts) -> list[str]:
-    """Return the counts at 0, 1/4, 1/2, 3/4 and all of full scale, and what the ends stand for by a law in dB."""
-    labels = [f"{round(share * law.full_scale)}" for share in (0, 0.25, 0.5, 0.75, 1)]
-    if law.law == "db":  # re a sphere of reflectivity 1 about the sonar
-        labels[0] += f"  {law.low_db - law.gain_db:.0f} dB"
-        labels[-1] += f"  {law.high_db - law.gain_db:.0f} dB"
-    return labels
+    def labels(self, gain_db: float) -> list[str]:
+        """Return the counts at 0, 1/4, 1/2, 3/4 and all of full scale, and what the ends stand for by a law in dB."""
+        law = self.law
+        labels = [f"{round(share * law.full_scale)}" for share in (0, 0.25, 0.5, 0.75, 1)]
+        if law.law == "db":  # re a sphere of reflectivity 1 about the sonar
+            labels[0] += f"  {law.low_db - gain_db:.0f} dB"
+            labels[-1] += f"  {law.high_db - gain_db:.0f} dB"
+        return labels
 
 
 class _Line(NamedTuple):
@@ -192,7 +179,11 @@ class _Axes:
     def _strip(self, height: int, bar: _Bar) -> np.ndarray:
         """Return the strip beside the fan, (height, W, 3), with the colours of 0 to full scale, from below."""
         size = self.font_size
-        texts = "counts", *bar.possible_labels
+        labels = bar.labels(bar.law.gain_db)
+        # those of this ping, and the widest that other pings of the sonar may have
+        texts = ["counts", *labels]
+        for gain_db in (-LEVEL_BOUND_DB, LEVEL_BOUND_DB) if bar.gain_varies else ():
+            texts += bar.labels(gain_db)
         widest = max(cv2.getTextSize(text, FONT, size, 1)[0][0] for text in texts)
         first, across = round(10 * size), round(34 * size)
         strip = np.zeros((height, first + across + widest + round(34 * size), 3), np.uint8)
@@ -200,7 +191,7 @@ class _Axes:
         levels = np.rint(np.linspace(255, 0, bottom - top)).astype(int)
         strip[top:bottom, first : first + across] = colours(bar.colormap)[levels]
         column = first + across + round(12 * size)
-        for text, row in zip(bar.labels, np.linspace(bottom, top, len(bar.labels)), strict=True):
+        for text, row in zip(labels, np.linspace(bottom, top, len(labels)), strict=True):
             self._write_from(strip, text, column, row)
         self._write_from(strip, "counts", first, top - 36 * size)
         return strip
@@ -316,10 +307,7 @@ class _Axes:
         self._write(canvas, text, (column + width / 2, row))
 
 
-@lru_cache(maxsize=4)
-def _axes(fan: FanGeometry) -> _Axes:
-    """Return the axes of a fan, whose lines are laid once for all pings of a sequence."""
-    return _Axes(fan)
+_axes = lru_cache(maxsize=4)(_Axes)  # so that lines are laid once for all pings of a sequence
 
 
 def _tick_step(span: float, parts: float, steps) -> float:

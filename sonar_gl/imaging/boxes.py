@@ -171,12 +171,7 @@ def _labelled_geometry(ping: Ping, height: int) -> FanGeometry:
     """Return the geometry of a ping's fan image; raise an Error unless its labels say which bodies it shows."""
     if ping.body_id is None or ping.body_echo is None:
         raise Error("a ping must have labels to find bodies in it (got none; make it with labels=True)")
-    _check_labels(ping)
-    return fan_geometry(ping, height)
-
-
-def _check_labels(ping: Ping) -> None:
-    """Raise an Error unless numbers of bodies are entries of `body_echo`: compiled functions take them as they are."""
+    # compiled functions take numbers of bodies as they are
     body_id, n_numbers = ping.body_id, len(ping.body_echo)
     if body_id.dtype.kind not in "iu" or body_id.shape != ping.intensity.shape:
         got = f"{body_id.dtype} of shape {body_id.shape}"
@@ -189,6 +184,7 @@ def _check_labels(ping: Ping) -> None:
             f"body_id of a ping must lie in 0..{n_numbers - 1}, since its body_echo has {n_numbers} entries "
             f"(got {body_id.min()} to {body_id.max()})"
         )
+    return fan_geometry(ping, height)
 
 
 @lru_cache(maxsize=4)

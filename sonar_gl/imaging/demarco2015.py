@@ -105,20 +105,6 @@ class PictureSettings:
     Raises Error if height, seed, form or join is out of bounds or unknown, or the printed form is chosen for a fan of
     180° or more. The other settings are those of a `Sonar` and a `Noise`, which have checked them.
 
-    Parameters
-    ----------
-    azimuth_fov_rad : width of the fan θ_S
-    range_max_m : R, metres
-    height : H, pixels
-    form : "isotropic" or "printed", see Notes
-    join : "circles", or "polygons": the paper's future work, areas between neighbouring points
-    cloud_sigma_m : standard deviation of the Gaussian noise on x, y and z, metres
-    median : size of the median blur, odd, pixels; 0 or 1 for none
-    salt_and_pepper : fraction of the pixels set to white or black, half each
-    seed : the same seed gives the same bytes
-
-    Notes
-    -----
     "isotropic", as in the author's code: s = H / R, column W/2 − y s, row H − x s. Port is on the left and
     the sonar at the bottom; W = ⌈2 H sin(θ_S / 2)⌉. Beyond 180° the fan continues below the sonar, as in a
     fan image. x and y are the point's own: a point above or below the sonar's plane appears nearer than its
@@ -127,6 +113,16 @@ class PictureSettings:
     "printed", eqs. (8)-(9) to the letter: s_x = H / (2 cos(θ_S / 2) R) across and s_y = H / R along,
     W = H tan(θ_S / 2), with the sonar on top, then turned by 180°. So port is on the *right*, and the scales
     differ by 1 / (2 cos(θ_S / 2)): equal at 120° alone, infinitely different at 180°.
+
+    azimuth_fov_rad : width of the fan θ_S
+    range_max_m : R, metres
+    height : H, pixels
+    form : "isotropic" or "printed", see above
+    join : "circles", or "polygons": the paper's future work, areas between neighbouring points
+    cloud_sigma_m : standard deviation of the Gaussian noise on x, y and z, metres
+    median : size of the median blur, odd, pixels; 0 or 1 for none
+    salt_and_pepper : fraction of the pixels set to white or black, half each
+    seed : the same seed gives the same bytes
     """
 
     azimuth_fov_rad: float
@@ -225,6 +221,13 @@ def demarco_picture(
 
     Raises Error if the picture would be too wide.
 
+    Circles have radius 1, and the later point wins, as in cv2.circle called in scan order. It draws the rim
+    alone, so the median blur removes a point without neighbours. Polygons are quads between four neighbours
+    of the grid, filled with their mean intensity; the later one wins. A quad is left out if a corner is
+    missing, or if its corners' ranges differ by more than MAX_JUMP of the nearest one's. Points in no quad
+    have their circle. The author's code adds the noise to x alone; the paper's text, followed here, adds it
+    to all coordinates.
+
     Parameters
     ----------
     points_xyz : (N, 3) float64, metres, sonar frame (x forward, y port, z up), in scan order, row by row; NaN or
@@ -235,15 +238,6 @@ def demarco_picture(
     Returns
     -------
     array of shape (H, W, 3), uint8 RGB
-
-    Notes
-    -----
-    Circles have radius 1, and the later point wins, as in cv2.circle called in scan order. It draws the rim
-    alone, so the median blur removes a point without neighbours. Polygons are quads between four neighbours
-    of the grid, filled with their mean intensity; the later one wins. A quad is left out if a corner is
-    missing, or if its corners' ranges differ by more than MAX_JUMP of the nearest one's. Points in no quad
-    have their circle. The author's code adds the noise to x alone; the paper's text, followed here, adds it
-    to all coordinates.
     """
     points, values = points_xyz, np.asarray(intensity, np.float64).clip(0, 255)
     if settings.cloud_sigma_m > 0:

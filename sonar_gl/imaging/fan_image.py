@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -304,6 +304,7 @@ def _average_beams(polar: np.ndarray, bands: tuple[_Band, ...], full_circle: boo
             polar[:, first:end] = cv2.blur(part, (1, n_beams), borderType=cv2.BORDER_REFLECT)
 
 
+@cache
 def colormaps() -> tuple[str, ...]:
     """Return the names that `colorize` knows: those of ANCHORS, and OpenCV's colour maps in lower case."""
     return (*ANCHORS, *sorted(name[9:].lower() for name in dir(cv2) if name.startswith("COLORMAP_")))
@@ -311,14 +312,11 @@ def colormaps() -> tuple[str, ...]:
 
 def colours(name: str) -> np.ndarray:
     """Return a colour map's table, (256, 1, 3) uint8 RGB; raise an `Error` if the name is unknown."""
-    if not isinstance(name, str):  # a cache cannot look up a list
-        check_choice("colour map", name, colormaps())
-    return _colours(name)
+    return _colours(check_choice("colour map", name, colormaps()))
 
 
 @lru_cache(maxsize=32)
 def _colours(name: str) -> np.ndarray:
-    check_choice("colour map", name, colormaps())
     if name not in ANCHORS:
         ramp = np.arange(256, dtype=np.uint8)[:, None]
         return np.ascontiguousarray(

@@ -76,10 +76,7 @@ def save_png(path: str | os.PathLike, picture: np.ndarray) -> None:
 
 
 def png_bytes(picture: np.ndarray) -> bytes:
-    """Return the content of a PNG file.
-
-    picture : (H, W) or (H, W, 3) RGB, uint8 or float 0..1, stored in 8 bits; or (H, W) uint16, 16-bit gray
-    """
+    """Return the content of a PNG file of a picture, as `save_png` takes it."""
     picture = whole_numbers(picture, "a PNG")
     if picture.ndim == 3:
         picture = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)

@@ -103,15 +103,13 @@ class DemarcoStyle:
 
     def __post_init__(self):
         noise = self.noise
-        if noise.speckle or noise.gaussian:
-            self._warn("speckle and no gaussian noise")
-        if noise.has_receiver_noise or noise.interference_lines:
-            self._warn("receiver noise and no interference")
-        if noise.dropped_beams:
-            self._warn("dropped beams")
-
-    def _warn(self, missing: str) -> None:
-        warn_caller(f"pictures of style demarco2015 have no {missing}")
+        for is_wanted, missing in (
+            (noise.speckle or noise.gaussian, "speckle and no gaussian noise"),
+            (noise.has_receiver_noise or noise.interference_lines, "receiver noise and no interference"),
+            (noise.dropped_beams, "dropped beams"),
+        ):
+            if is_wanted:
+                warn_caller(f"pictures of style demarco2015 have no {missing}")
 
     def __call__(self, simulator, ping: Ping, number: int) -> np.ndarray:
         """Return the (H, W, 3) uint8 RGB picture at the pose of a ping."""
