@@ -37,10 +37,6 @@ class Cluster:
     """The workers of a cluster, which run the steps of a batch as the processes of a `Pool` do.
 
     Raises Error if Dask is not installed.
-
-    address : address of a Dask scheduler
-    job, url : the job and the folder of the batch
-    any_system : as for `Batch`
     """
 
     def __init__(self, address: str, job: Job, url: str, any_system: bool = False):
@@ -65,7 +61,6 @@ class Cluster:
         """Make parts, and return those that workers died of. After Ctrl-C none are returned.
 
         done : called with the record of each part as it is done
-        warn : called with the text of a warning
         """
         given_up, finished = [], set()
 

@@ -123,15 +123,6 @@ class Folder:
 
     Raises Error if it is no folder, or cannot be reached or created, with the reason.
 
-    Parameters
-    ----------
-    url : path or URL
-    create : create the folder if it does not exist
-
-    Attributes
-    ----------
-    url : path or URL, for other libraries
-    is_local : whether it is on this machine
     fs : file system of fsspec
     """
 

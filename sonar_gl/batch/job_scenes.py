@@ -55,9 +55,6 @@ class JobScenes(Sequence):
 
     Raises Error at the first use, if a scene cannot be loaded, or lacks a floor on which bodies rest; and once all have
     been read, if the job names what no scene has, or leaves nothing of a scene.
-
-    job : Job
-    paths : of each table `vary.bodies`
     """
 
     def __init__(self, job: Job, paths: list[list[BodyPath]]):

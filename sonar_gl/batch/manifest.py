@@ -42,12 +42,10 @@ def table_name(part: int) -> str:
 class Manifest:
     """The division of a job's pings into parts, and what makes them. It follows from the job and the system.
 
-    job : the job as plain values
     digest : that of `JobScenes`
     n_pings, pings_per_part : number of pings in all and of each part but the last
     system : OpenGL and libraries that began the batch
     files : those of `JobScenes`, by which a changed file is named
-    version : version of sonar_gl that began it
     processor : kind of the processor that began it; parts may be made by others
     """
 
@@ -119,7 +117,6 @@ class Manifest:
 def default_pings_per_part(bytes_per_ping: float, n_pings: int) -> int:
     """Return a part size large enough for a file, and small enough to be made again and to share the job.
 
-    bytes_per_ping : size of a ping's arrays before compression
     n_pings : pings of the job; their share does not depend on the number of processes, as the bytes of a batch do not
 
     >>> default_pings_per_part(1e6, 10**6), default_pings_per_part(1e6, 60)
@@ -134,8 +131,6 @@ class PartRecord:
     """What a finished part consists of. Its file is written after all others of the part.
 
     batch : `Manifest.identity` of its batch
-    part : number of the part
-    first, pings : number of its first ping, and of its pings
     set_aside : number of each ping that could not be made (as text, for JSON) -> why
     without_echo : number of pings without an echo
     files : name of each file of the part -> SHA-256
@@ -166,7 +161,6 @@ class PartRecord:
 class DoneRecord:
     """What a complete batch consists of beside its parts.
 
-    parts, pings : their numbers
     files : name of each file that belongs to no part -> SHA-256
     """
 

@@ -36,7 +36,6 @@ class OpticalCamera:
 
     Attributes
     ----------
-    scene, camera : as given
     context : its OpenGL context; None once it is closed
     """
 

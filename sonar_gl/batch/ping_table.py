@@ -26,7 +26,6 @@ MATRIX, AFFINE = 16, 12  # numbers of a (4, 4) pose, and of its upper three rows
 class PingTable:
     """The columns of the table of numbers per ping, float64.
 
-    width : length of a row
     water, noise : names of the fields that vary
     moved : bodies that move, as (scene, name)
     with_reflectivity : bodies whose reflectivity varies, as (scene, name)

@@ -56,9 +56,6 @@ def serve(
     In: the name of one of `steps.STEPS`, and its arguments. Out: (kind, value) for all that the step reports,
     and at its end ("of files", text) for each warning of what it has read, and ("result", value), or ("error",
     text) for an Error, a failed write and everything else.
-
-    n_threads : it computes with
-    job, url, device, any_system, is_dry_run : as for `Pool`
     """
     # the pool decides when to stop; queues signal all processes
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -130,7 +127,6 @@ def _die_with_parent() -> None:
 class Task:
     """A part to be made.
 
-    part : number of the part
     one_by_one : whether each ping is made alone, so that it is known which one kills a process
     set_aside : numbers of pings to leave out -> why
     deaths : number of a ping -> deaths of processes at it; None counts deaths at no ping
@@ -176,7 +172,6 @@ class Process:
     ----------
     task : what it is making, or None
     pings : numbers of pings of which it may be making one
-    pid : its process id
     """
 
     def __init__(self, *arguments):
@@ -239,11 +234,7 @@ class Pool:
 
     Parameters
     ----------
-    job : the job as plain values
-    url : folder of the batch
     devices : index of the EGL device of each process, or None for the default
-    warn : function that is given the text of a warning
-    any_system : as for `Batch`
     is_dry_run : whether the folder is a temporary one, of which errors do not say that it can be resumed
 
     Attributes
@@ -311,7 +302,6 @@ class Pool:
         Raises Error if a step fails, such as for a full disk, MachineError if processes die of a part again and again;
         both after the parts in progress are finished.
 
-        parts : numbers of the parts, rising
         numbers : function (part) -> numbers of its pings
         done : called with the record of each part as it is done
         one_by_one : make each ping alone from the beginning, not only after a death

@@ -36,8 +36,6 @@ from sonar_gl.core.signals import REPEAT_S
 class Outcome:
     """The state of a batch.
 
-    requests : the requests of the job
-    n_pings : number of pings of the job
     n_made : pings in the store
     set_aside : number of each ping that could not be made -> why
     without_echo : pings without an echo
@@ -110,9 +108,7 @@ def run(
     Raises Error if the job or the folder is unsuitable, or parts cannot be made; MachineError if processes die again
     and again.
 
-    url : folder of the batch
     devices : EGL device of each process, see `devices_of`
-    report : function that shows a line of text
     progress : function (pings in all, pings done) -> context manager of a function (further pings)
     """
     folder = Folder(url, create=False)

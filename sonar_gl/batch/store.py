@@ -116,11 +116,7 @@ def _remove_partial_files(folder: Folder) -> None:
 
 
 class PingStore:
-    """A store that exists, open for reading and writing.
-
-    folder : folder of the batch
-    n_sonars : number of sonars of the job
-    """
+    """A store that exists, open for reading and writing."""
 
     def __init__(self, folder: Folder, n_sonars: int):
         self._root, self._n_sonars, self._folder = _open_group(folder, "r+"), n_sonars, folder
@@ -187,10 +183,7 @@ def consolidate(folder: Folder) -> None:
 
 
 def shared_files(folder: Folder, part_arrays: set[str]) -> list[str]:
-    """Return the names of the store's files that belong to no part.
-
-    part_arrays : names of the arrays that parts write
-    """
+    """Return the names of the store's files that belong to no part."""
     out, root = [], _open_group(folder, "r")
     for group in (root, *(group for _, group in root.groups())):
         place = "/".join(filter(None, (STORE_NAME, group.path)))

@@ -297,14 +297,12 @@ class RandomViews(EvenTrajectory):
 
     target_m, target_size_m : centre of the box that is aimed at, and its size along world x, y, z
     range_m : [low, high], from the point to the sonar
-    n_pings : number of pings
     azimuth_rad : [low, high], azimuth of the sonar seen from the point, from world x towards y
     elevation_rad : [low, high], elevation of the sonar seen from the point, positive above
     z_m : [low, high], height of the sonar, such as from the floor to the surface
     azimuth_jitter_rad, elevation_jitter_rad : largest angle between the point and the boresight
     roll_jitter_rad : largest roll
     ping_rate_hz : decides the times only
-    seed : seed of the random draws
     """
 
     target_m: Position

@@ -63,11 +63,7 @@ def check_varied_fields(job: Job, acoustics: Acoustics, noise: Noise) -> None:
 
 
 def check_floors(job: Job, index: int, bodies: Iterable[str], plumes: Iterable[str]) -> None:
-    """Raise an Error if a scene lacks the floor on which a table rests bodies, or it moves with them or later.
-
-    index : of the scene in the job
-    bodies, plumes : names of what is in it
-    """
+    """Raise an Error if a scene lacks the floor on which a table rests bodies, or it moves with them or later."""
     tables, known = job.vary.bodies, [*bodies]
     named = [matching_names(table.names, [*known, *plumes]) for table in tables]
     for k, (table, names) in enumerate(zip(tables, named, strict=True)):
@@ -96,14 +92,6 @@ def check_floors(job: Job, index: int, bodies: Iterable[str], plumes: Iterable[s
 class MovedBodies:
     """The bodies and plumes of a scene that the tables `vary.bodies` change, and their random draws.
 
-    Parameters
-    ----------
-    scene : Scene
-    job : Job
-    paths : of each table
-
-    Attributes
-    ----------
     known : name -> body or plume of the scene, also those that no table names
     """
 
@@ -122,8 +110,6 @@ class MovedBodies:
 
         Parameters
         ----------
-        number : of the ping
-        random : the generator of its draws
         run_start : number of the first ping of its run, for which tables with a path draw
         time_s : its time on the trajectory, and on paths; later than that of `number` where draws hold
 

@@ -30,7 +30,6 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "", shares: 
     Raises Error if the shape differs, or a value is not a finite number: text is none, nor what a mask hides.
 
     array : anything that NumPy turns into numbers
-    dtype : of the copy
     shape : required lengths; None allows any length
     what : name of the argument, with which the message begins
     hint : what to do instead, which ends the message about a shape
@@ -280,17 +279,11 @@ def text_beside(value: float, bound: float, digits: int = 3) -> str:
 def check_number(what: str, value, low: float = -math.inf, high: float = math.inf, hint: str = "") -> float:
     """Return `value` as a float.
 
-    Parameters
-    ----------
+    Raises Error if it is not a number, or outside the bounds.
+
     what : name of the argument, with which the message begins, such as "sonar 'mine': range_max_m"
-    value : the argument
     low, high : bounds, both included; without one of them `value` must be finite
     hint : unit, or likely cause of a mistake, which ends the message about bounds
-
-    Raises
-    ------
-    Error
-        if it is not a number, or outside the bounds.
 
     >>> check_number("tvg_k", 20, 0, 60)
     20.0
@@ -316,7 +309,6 @@ def check_fields(what: str, settings, bounds: Iterable[tuple[str, float, float, 
     """Raise an `Error` unless fields of a dataclass are numbers within bounds; those that are None by default may be.
 
     what : the settings, with which the message begins, such as "sonar 'mine'"
-    settings : instance of the dataclass
     bounds : name of each field; `low`, `high` and `hint` of `check_number`
     """
     for name, low, high, hint in bounds:
@@ -328,17 +320,11 @@ def check_fields(what: str, settings, bounds: Iterable[tuple[str, float, float, 
 def check_whole_number(what: str, value, low: int = 0, high: int | None = None, hint: str = "") -> int:
     """Return `value` as an int.
 
-    Parameters
-    ----------
+    Raises Error if it is not a whole number, or outside the bounds.
+
     what : name of the argument, with which the message begins
-    value : the argument
     low, high : bounds, both included; None for no upper bound
     hint : unit, or likely cause of a mistake, which ends the message
-
-    Raises
-    ------
-    Error
-        if it is not a whole number, or outside the bounds.
 
     >>> check_whole_number("looks", 0, 1, 1000)
     Traceback (most recent call last):
@@ -354,17 +340,10 @@ def check_whole_number(what: str, value, low: int = 0, high: int | None = None, 
 def check_choice(kind: str, value, choices: Iterable[str], location: str = "") -> str:
     """Return `value`, one of the strings `choices`.
 
-    Parameters
-    ----------
-    kind : what is chosen, such as "taper"
-    value : the argument
-    choices : allowed names
-    location : place with which the message begins, such as "pulse"
+    Raises Error if it is none of them; the message names the most similar ones.
 
-    Raises
-    ------
-    Error
-        if it is none of them; the message names the most similar ones.
+    kind : what is chosen, such as "taper"
+    location : place with which the message begins, such as "pulse"
 
     >>> check_choice("taper", "hammin", ("uniform", "hamming"), "pulse")
     Traceback (most recent call last):

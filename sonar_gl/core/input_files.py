@@ -7,13 +7,13 @@ import os
 import stat
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 
 from sonar_gl.core.errors import Error
 
 LINK_LOOP = "a loop of symbolic links"
-GIT_LFS_HEAD = b"version https://git-lfs"  # of a pointer
+GIT_LFS_HEAD = b"version https://git-lfs"  # of what stands in the place of a large file until it is fetched
 
 _noted: ContextVar[list[str] | None] = ContextVar("files noted in this thread", default=None)
 
@@ -82,7 +82,12 @@ def check_kind_of_file(path, pipe: bool = False) -> None:
     except (OSError, ValueError):  # missing, a loop, a null character: reading tells
         return
     if stat.S_ISREG(mode):
-        _check_not_git_lfs(path)
+        with suppress(OSError), open(path, "rb") as file:  # who reads it says why that fails
+            if file.read(len(GIT_LFS_HEAD)) == GIT_LFS_HEAD:
+                raise Error(
+                    f"{path}: must be the file itself (got a pointer of Git LFS; fetch the file by 'git lfs pull' in "
+                    "its repository)"
+                )
         return
     is_pipe = stat.S_ISFIFO(mode)
     is_open_pipe = is_pipe and not os.path.exists(os.path.realpath(path))
@@ -102,20 +107,6 @@ def describe_kind(mode: int) -> str:
     """
     kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket"}
     return kinds.get(stat.S_IFMT(mode), "a device")
-
-
-def _check_not_git_lfs(path) -> None:
-    """Raise an `Error` for what Git LFS leaves in the place of a large file until it is fetched."""
-    try:
-        with open(path, "rb") as file:
-            is_pointer = file.read(len(GIT_LFS_HEAD)) == GIT_LFS_HEAD
-    except OSError:  # who reads it says why
-        return
-    if is_pointer:
-        raise Error(
-            f"{path}: must be the file itself (got a pointer of Git LFS; fetch the file by 'git lfs pull' in its "
-            "repository)"
-        )
 
 
 def read_error_text(why: OSError) -> str:

@@ -10,16 +10,8 @@ from typing import get_args, get_type_hints
 from sonar_gl.core.checks import check_kind
 from sonar_gl.core.errors import Error, nearest_names
 
-SWITCHES = {
-    "1": True,
-    "yes": True,
-    "true": True,
-    "on": True,
-    "0": False,
-    "no": False,
-    "false": False,
-    "off": False,
-}
+SWITCHES = dict.fromkeys(("1", "yes", "true", "on"), True)
+SWITCHES |= dict.fromkeys(("0", "no", "false", "off"), False)
 
 
 def parse_fields(

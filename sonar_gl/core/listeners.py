@@ -21,7 +21,6 @@ class Listener:
     Parameters
     ----------
     call : function of one item
-    name : of the thread
     waiting : how many items may wait
     on_close : function of this listener, called once it is closed
 

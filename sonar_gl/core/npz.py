@@ -6,7 +6,6 @@ import math
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,20 +16,12 @@ from sonar_gl.core.errors import Error
 MAX_BYTES = 1_000_000_000
 
 
-class NpzArrays(NamedTuple):
-    """Arrays of an NPZ file by name, and the names of all arrays in it."""
-
-    arrays: dict[str, np.ndarray]
-    names: tuple[str, ...]
-
-
-def read_npz(path: Path, kinds: Mapping[str, str]) -> NpzArrays:
-    """Read arrays of numbers or text; Python objects are never unpickled.
+def read_npz(path: Path, kinds: Mapping[str, str]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return arrays of numbers or text by name, and the names of all arrays; Python objects are never unpickled.
 
     Raises OSError if the file cannot be read; Error if it is no NPZ file, an array has another kind, or all together
     would be larger than MAX_BYTES and the file.
 
-    path : the file
     kinds : for each array to read, if it is there, the permitted kinds of its dtype, such as "fiub"
     """
     try:
@@ -42,7 +33,7 @@ def read_npz(path: Path, kinds: Mapping[str, str]) -> NpzArrays:
                 got = f"{n_bytes / 1e9:.1f} GB from {n_bytes_on_disk / 1e6:.1f} MB"
                 raise Error(f"its arrays must not exceed {MAX_BYTES / 1e9:g} GB (got {got})")
             arrays = {name: _read_member(archive, info, name, kinds[name]) for name, info in chosen.items()}
-            return NpzArrays(arrays, tuple(members))
+            return arrays, list(members)
     except (OSError, Error):
         raise
     except Exception:  # zipfile and NumPy raise various ones for bytes that are no archive

@@ -16,7 +16,6 @@ MAX_KEPT_ROWS = 1 << 18
 class ReusedArray:
     """An array that is used again, for as many rows as are asked for.
 
-    dtype : of its entries
     row : shape of a row
     """
 

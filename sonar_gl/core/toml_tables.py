@@ -62,7 +62,6 @@ def table_error(
     """Return one error for all that pydantic found wrong with a table.
 
     kind : the pydantic model or dataclass; its fields' descriptions are the cures in the messages
-    file : its name
     table : keys that lead to the table in the file, such as ("poses", 0)
     whole : what the file describes
     """

@@ -16,10 +16,7 @@ STEP_BACK = nullcontext()
 
 
 class ThreadLock:
-    """A lock; a thread that holds it gets an Error in place of waiting for itself.
-
-    message : of the Error
-    """
+    """A lock; a thread that holds it gets an Error in place of waiting for itself."""
 
     def __init__(self, message: str):
         # the inner lock is only taken under the outer one, whose owner Python knows at any step: a signal handler may
@@ -126,11 +123,7 @@ def _serve(queue: SimpleQueue) -> None:
 
 
 class JobThreads:
-    """Threads that do jobs in turn, started with the first. A queue takes half the time of an executor.
-
-    name : of each thread
-    count : how many there are
-    """
+    """Threads that do jobs in turn, started with the first. A queue takes half the time of an executor."""
 
     def __init__(self, name: str, count: int = 1):
         self._name, self._count, self._queue, self._is_started = name, count, SimpleQueue(), False

@@ -54,7 +54,12 @@ def read_collada(path: Path) -> tuple[io.BytesIO, int]:
         elif kind == "instance_controller":
             n_skinned += _replace_by_geometry(element, sources)
     _check_transforms(root, path)
-    _check_polygons(root, path)
+    if (holed := root.find(".//{*}geometry/{*}mesh/{*}polygons/{*}ph")) is not None:
+        name = next(holed.iterancestors("{*}geometry")).get("id") or ""
+        raise Error(  # since the parser leaves such a polygon out
+            f"{path}: geometry {name!r}: polygons must have no holes (got <ph>; triangulate the mesh in the program "
+            "that wrote it)"
+        )
     if (n_placed := _placed_geometries(root)) > MAX_BODIES:
         raise Error(
             f"{path}: a COLLADA file must place at most {MAX_BODIES} geometries (got {shown(n_placed)}; nodes that "
@@ -74,17 +79,6 @@ def _check_transforms(root, path: Path) -> None:
                 "place, as by exporting the scene with transforms as matrices)"
             )
         node.remove(element)
-
-
-def _check_polygons(root, path: Path) -> None:
-    """Raise an Error if a polygon has holes, since the parser leaves such a polygon out."""
-    holed = root.find(".//{*}geometry/{*}mesh/{*}polygons/{*}ph")
-    if holed is not None:
-        name = next(holed.iterancestors("{*}geometry")).get("id") or ""
-        raise Error(
-            f"{path}: geometry {name!r}: polygons must have no holes (got <ph>; triangulate the mesh in the program "
-            "that wrote it)"
-        )
 
 
 def _placed_geometries(root) -> int:

@@ -25,7 +25,6 @@ def read_image_file(path, what: str, kinds: str) -> np.ndarray:
     Raises Error if the file is missing, no image, or has more than MAX_PIXELS pixels by its header, without decoding
     it.
 
-    path : the file
     what : name of the image in messages, such as "a height map"
     kinds : examples of what is expected, for messages
     """

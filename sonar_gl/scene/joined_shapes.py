@@ -30,9 +30,7 @@ class SurfaceKind(NamedTuple):
 def body_of_shapes(name: str, group: list[EchoingShape], pose, kind: SurfaceKind) -> Body:
     """Return one body from shapes of one kind of surface.
 
-    group : shapes in the frame of the body; one or more
     pose : (4, 4) world_from_body
-    kind : SurfaceKind of all of them
     """
     shapes, reflectivities, materials = zip(*group, strict=True)
     mesh, normals = shapes[0] if len(shapes) == 1 else primitives.concatenate(shapes)

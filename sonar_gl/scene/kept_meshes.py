@@ -40,13 +40,9 @@ class KeptMeshes:
     def _copy(self, mesh) -> Triangles:
         """Return a copy of a mesh: the one made before, if the mesh is still the same."""
         _, before = self._copies.get(id(mesh), (None, None))
-        if before is not None and _is_same(mesh, before):
+        is_same = before is not None and np.array_equal(mesh.vertices, before.vertices)
+        if is_same and np.array_equal(mesh.faces, before.faces):
             return before
         made = Triangles(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64))
         self._copies[id(mesh)] = mesh, made
         return made
-
-
-def _is_same(mesh, before: Triangles) -> bool:
-    """Return whether a mesh holds what it held before."""
-    return np.array_equal(mesh.vertices, before.vertices) and np.array_equal(mesh.faces, before.faces)

@@ -121,22 +121,17 @@ def _load_named(what, resource_paths: Iterable[str | os.PathLike], skip_missing:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise _no_scene_error(what, path)
-    _check_scene_file(path)
-    if suffix in mesh_files.SUFFIXES:
-        return _read_mesh_scene(path)
-    if suffix in mujoco_model.SUFFIXES and Resources(path).parse(path).tag == "mujoco":
-        return mujoco_model.read_mjcf(path, resource_paths)
-    return read_sdf(what, resource_paths, skip_missing)
-
-
-def _check_scene_file(path: Path) -> None:
-    """Raise an Error unless a path with the ending of a scene's file is that of a file."""
     if path.is_dir():
         raise Error(f"{path}: must be a file, or the folder of a model (it has no model.sdf)")
     if not path.exists():
         hint = _similar_files(path) or "bundled scenes are named without an ending"
         raise Error(f"{path}: there is no such file ({hint})")
     check_is_file(path)
+    if suffix in mesh_files.SUFFIXES:
+        return _read_mesh_scene(path)
+    if suffix in mujoco_model.SUFFIXES and Resources(path).parse(path).tag == "mujoco":
+        return mujoco_model.read_mjcf(path, resource_paths)
+    return read_sdf(what, resource_paths, skip_missing)
 
 
 def _no_scene_error(what, path: Path) -> Error:

@@ -55,17 +55,13 @@ def heightmap(path, size=(1.0, 1.0, 1.0), pos=(0.0, 0.0, 0.0)) -> Shape:
 
     Raises Error if the file is missing, no image, smaller than 2 x 2, larger than 20 million pixels, or not finite.
 
-    Parameters
-    ----------
+    Convention: the top row of the image is +y, its left column −x; the outer pixels lie on the edges of
+    `size`. Both kinds of image are read as by Gazebo, for which a TIFF is an elevation model.
+
     path : 8 or 16 bit PNG, whose values are divided by the largest, or TIFF, whose values are heights, metres
     size : x, y extent of the terrain, metres; z is the factor of a PNG's values, and of a TIFF the height from
         its lowest to its highest value, or 1 for heights as they are
     pos : centre of the terrain, metres; its z is added to all heights
-
-    Notes
-    -----
-    Convention: the top row of the image is +y, its left column −x; the outer pixels lie on the edges of
-    `size`. Both kinds of image are read as by Gazebo, for which a TIFF is an elevation model.
     """
     image = read_image_file(path, "a height map", "8 or 16 bit PNG, float TIFF")
     is_elevation = image.dtype.kind != "u" or Path(path).suffix.lower() in ELEVATION_SUFFIXES
@@ -107,7 +103,6 @@ def read_mesh_parts(path, roots: Collection[Path] = ()) -> list[MeshPart]:
     Raises Error with the name of the file, if it is missing or unreadable, has no faces (a point cloud), a vertex is
     not finite, or it names a file that may not be read.
 
-    path : the file
     roots : folders in which files may lie that the mesh names, such as a glTF's buffers; by default the mesh's own
     """
     path = Path(path)
@@ -266,18 +261,13 @@ def read_mesh(path, submesh: str | None = None, center: bool = False, roots: Col
 
     Raises Error as `read_mesh_parts` does, or if there is no such submesh.
 
-    Parameters
-    ----------
-    path : the file
+    Convention: the file's own axes, as in Gazebo, even for glTF, which is y-up. A `.glb` loaded on its own as
+    a scene is turned to z-up.
+
     submesh : name of the node or geometry to read, without regard to case and prefix if none has just
         this name; None reads all
     center : whether to move the centre of the bounding box to the origin
     roots : as for `read_mesh_parts`
-
-    Notes
-    -----
-    Convention: the file's own axes, as in Gazebo, even for glTF, which is y-up. A `.glb` loaded on its own as
-    a scene is turned to z-up.
     """
     parts = read_mesh_parts(path, roots)
     chosen = [part for part in parts if submesh in (None, part.node, part.geometry)]

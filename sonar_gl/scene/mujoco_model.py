@@ -38,9 +38,7 @@ CAMERA_FROM_SONAR = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 class Part(NamedTuple):
     """The geoms that make one body of the scene.
 
-    name : of the body
     body : number of MuJoCo's body; 0 is the world
-    geoms : numbers of the geoms
     """
 
     name: str
@@ -59,14 +57,6 @@ def convert_mujoco_model(what, name: str = "scene", path: Path | None = None) ->
 
     Raises Error if a geom that MuJoCo shows has no surface.
 
-    Parameters
-    ----------
-    what : mujoco.MjModel or mujoco.MjData
-    name : of the scene
-    path : file that warnings name; None for an object
-
-    Notes
-    -----
     Each MuJoCo body becomes a body of its name, or `body_3` by its number; each geom of the world becomes one,
     too. Geoms of a body whose smoothness differs from its first one's are bodies `body::geom`. Geoms of groups
     3 to 5 and transparent ones are left out, and those of the body that carries the sonar.
@@ -76,6 +66,8 @@ def convert_mujoco_model(what, name: str = "scene", path: Path | None = None) ->
 
     The sonar is the first site whose name contains one of SONAR_WORDS, its axes x ahead, y to port and z up;
     else the first such camera, looking along the boresight.
+
+    path : file that warnings name; None for an object
     """
     import mujoco
 
@@ -161,7 +153,6 @@ def read_mjcf(path: Path, resource_paths) -> Scene:
     Raises Error if MuJoCo is not installed or cannot read the model, or the model names files that are missing or
     elsewhere.
 
-    path : of an MJCF file
     resource_paths : folders from which the model may read files, besides its own
     """
     resources = Resources(path, resource_paths)

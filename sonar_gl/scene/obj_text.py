@@ -40,10 +40,7 @@ def tidy_obj(text: bytes) -> bytes:
 
     Concave polygons become triangles. Where a file has groups and no objects, its groups become objects.
 
-    Raises
-    ------
-    Error
-        if a face names a vertex 0, or one that is counted back beyond the first, or its line is not named f.
+    Raises Error if a face names a vertex 0, or one that is counted back beyond the first, or its line is not named f.
 
     >>> tidy_obj(b"\\tv 0 0 0\\n v 1 0 0\\nv\\t0 1 0\\nf -3 -2 -1\\nv 5 5 5")
     b'v 0 0 0\\nv 1 0 0\\nv 0 1 0\\nf 1 2 3\\nv 5 5 5'

@@ -60,27 +60,16 @@ def textured_body(
 
 
 def textured(mesh, uv, image, normals=None) -> tuple[Shape, np.ndarray]:
-    """Split the faces of a mesh until the image is about constant over each.
+    """Split the faces of a mesh until the image is about constant over each; return the shape, and the means, (F,).
 
     An edge is split in both faces that share it, so that no cracks arise.
 
     Raises Error if an array has the wrong shape, a number is out of bounds, or there would be more than two million
     faces.
 
-    Parameters
-    ----------
     mesh : has (V, 3) `vertices`, metres, and (F, 3) `faces`
-    uv : (V, 2) texture coordinates, as trimesh reads them from glTF and OBJ: (0, 0) is the lower left corner
-        of the image, (1, 1) the upper right; beyond, the image repeats
-    image : (H, W) reflectivity, 0..1, first row at the top, constant over each texel; unsigned integers are
-        divided by the largest number of their type, colours are averaged. Or the path of an image of 8 or 16
-        bits
+    uv, image : as for `textured_body`; the image is constant over each texel
     normals : None or (V, 3) shading normals, interpolated between vertices
-
-    Returns
-    -------
-    shape : Shape with the split faces
-    reflectivity : (F,) float64, mean of the image over each face
     """
     image = read_image(image)
     faces = np.asarray(mesh.faces, np.int64)

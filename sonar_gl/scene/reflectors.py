@@ -136,7 +136,6 @@ def planar_reflectors(
 
     Planes of less than MIN_AREA_M2 are among them, since bodies may be larger in a ping.
 
-    scene : Scene
     wavenumber_rad_m : 2π / λ in the water
     wave_height_m : rms height of the waves under wind; the surface is at least as rough
     """

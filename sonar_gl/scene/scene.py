@@ -128,15 +128,9 @@ class Body(ArraysStayReadOnly):
             raise Error(
                 f"{location}: reflectivity must be a number, or an array of one for each face (got {got})"
             )
-        shape = () if one_value else (n_faces,)
-        mu = frozen_array(
-            self.reflectivity,
-            np.float64,
-            shape,
-            f"{location}: reflectivity",
-            "give one number, or one for each face",
-            shares=True,
-        )
+        shape, what = () if one_value else (n_faces,), f"{location}: reflectivity"
+        hint = "give one number, or one for each face"
+        mu = frozen_array(self.reflectivity, np.float64, shape, what, hint, shares=True)
         if mu.min() < 0 or mu.max() > 1:
             raise Error(
                 f"{location}: reflectivity must lie in 0..1 (got {mu.min():g} to {mu.max():g}; "
@@ -144,10 +138,8 @@ class Body(ArraysStayReadOnly):
             )
         self._set("reflectivity", float(mu) if one_value else mu)
         if self.normals is not None:
-            self._set(
-                "normals",
-                frozen_array(self.normals, np.float32, (n_vertices, 3), f"{location}: normals", shares=True),
-            )
+            shape, what = (n_vertices, 3), f"{location}: normals"
+            self._set("normals", frozen_array(self.normals, np.float32, shape, what, shares=True))
 
     def _set(self, key: str, value):
         object.__setattr__(self, key, value)
@@ -165,11 +157,9 @@ class Body(ArraysStayReadOnly):
                 f"{location}: mesh must have at least one face (got {len(vertices)} vertices, 0 faces)"
             )
         if not (isinstance(faces, np.ndarray) and faces.shape[1:] == (3,) and faces.dtype.kind in "iu"):
-            got = (
-                f"shape {faces.shape}, {faces.dtype}"
-                if isinstance(faces, np.ndarray)
-                else type(faces).__name__
-            )
+            got = type(faces).__name__
+            if isinstance(faces, np.ndarray):
+                got = f"shape {faces.shape}, {faces.dtype}"
             raise Error(
                 f"{location}: mesh faces must be an array of whole numbers of shape (F, 3) (got {got}; "
                 "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)"
@@ -199,11 +189,8 @@ class Body(ArraysStayReadOnly):
         if by_name:
             self._set("reflectivity", None)
         self._set("material", found and found.name)
-        for key, default in (
-            ("reflectivity", DEFAULT_REFLECTIVITY),
-            ("specular", 0.0),
-            ("roughness_rad", 0.1),
-        ):
+        defaults = {"reflectivity": DEFAULT_REFLECTIVITY, "specular": 0.0, "roughness_rad": 0.1}
+        for key, default in defaults.items():
             if getattr(self, key) is None:
                 value = getattr(found, key, None)
                 self._set(key, default if value is None else value)
@@ -315,16 +302,8 @@ class Scene(ArraysStayReadOnly):
             surface_z_m = check_number("surface_z_m of a scene", surface_z_m, -1e5, 1e5, "give metres")
         roughness = check_number("surface_roughness_m of a scene", surface_roughness_m, 0, 100, "give metres")
         check_added([*bodies, *plumes])
-        vars(self).update(
-            bodies=bodies,
-            plumes=plumes,
-            sonar_pose=pose,
-            name=name,
-            surface_z_m=surface_z_m,
-            surface_roughness_m=roughness,
-            sensors=sensors,
-            models=models,
-        )
+        vars(self).update(bodies=bodies, plumes=plumes, sonar_pose=pose, name=name, surface_z_m=surface_z_m)
+        vars(self).update(surface_roughness_m=roughness, sensors=sensors, models=models)
 
     def __setattr__(self, name: str, value):
         raise Error(
@@ -475,7 +454,6 @@ def check_added(things: Sequence[Body | Bubbles], n_bodies: int = 0, names: Cont
 
     Raises Error if two have one name, or there are too many bodies.
 
-    things : bodies and plumes
     n_bodies, names : what the scene has
     """
     twice = [
@@ -499,7 +477,6 @@ def poses_of_parts(
     A part that is named itself has the pose that is given for it, whatever the order.
 
     poses : names to (4, 4) world_from_body, or world_from_model, or to None for what is absent
-    parts_of : `Scene.parts_of`
     """
     out, own = {}, {}
     for name in sorted(poses, key=lambda name: str(name).count("::")):  # outer models before inner ones

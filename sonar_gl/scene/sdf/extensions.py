@@ -71,8 +71,6 @@ def read_bubbles(element, name: str, pose, location: str) -> Bubbles:
     Raises Error if a child is unknown or occurs twice, or its number is invalid.
 
     element : its children are those of FIELDS, each with one number, all optional
-    name, pose : as for `Bubbles`
-    location : file and element, with which messages begin
     """
     settings = {}
     for child in element:

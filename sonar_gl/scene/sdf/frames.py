@@ -66,7 +66,6 @@ class Frame:
     """A frame, link, joint or model, to which poses may be relative.
 
     pose_element : its `<pose>`, or None
-    location : file and element, for messages
     base : name of the frame that its pose is relative to if the pose names none
     scope : the Scope of a model; None for others
     placement : name of the frame of the model that its pose places; "" is the model itself
@@ -85,9 +84,6 @@ class Frame:
 class Scope:
     """A world or a model: its frames and links by name.
 
-    location : file and element, for messages
-    folder : of the file that it was read from
-    is_world : whether it is a world
     frames : name -> Frame
     links : name -> `<link>` element
     merged : name of the frame -> Scope, of each model whose names count as names in this scope, too

@@ -78,7 +78,6 @@ def links_of(
 
     scope : of a world, of a model, or of what is merged into one of them
     world_from_model, model_from_scope : (4, 4)
-    model : name of the model; "" of a world
     """
     for name, frame in scope.frames.items():
         if frame.scope is not None:

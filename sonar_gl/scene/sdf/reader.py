@@ -55,17 +55,9 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
 
     Raises Error with file and element: broken XML, invalid numbers, unknown or duplicate names, missing files.
 
-    Parameters
-    ----------
-    path : a file of SDF (.sdf, .world) or URDF (.urdf), or one of xacro that expands to one of them (.xacro),
-        with arguments after it as in "robot.xacro debug:=1"; or the folder of a model
-    resource_paths : folders in which `model://` and `package://` are searched, before those of environment
-        variables and the file's own folder, as in `Resources`; no file outside them is read
-    skip_missing : warn of missing models, of missing or unreadable meshes and height maps, and of unknown shapes, and
-        leave them out, in place of an error
+    path : a file of SDF (.sdf, .world), URDF (.urdf) or xacro (.xacro, also with arguments), or the folder of a model
+    resource_paths, skip_missing : as for `load_scene`; no file outside the folders of `Resources` is read
 
-    Notes
-    -----
     Bodies. A link becomes a body, with the name and the pose of its model, or `model::link` with the pose of the
     link if several links of the model have geometry; in a URDF file, with those of the link, all joints at zero.
     The collisions of a link make its body; its visuals if it has no collisions, or if only visuals have surface
@@ -301,7 +293,6 @@ class TreeReader:
 
     Parameters
     ----------
-    resources : finds the files of included models
     repeated : places of elements that are not read, since one before them is
 
     Attributes
@@ -329,7 +320,6 @@ class TreeReader:
     def fill(self, scope: Scope, element, stack: tuple) -> None:
         """Add the frames, links and models of a world or model to its scope, with those of included models.
 
-        scope : of the world or model
         element : its `<world>`, `<model>` or root element
         stack : for each model or file that led here, the file, or None for a model within a file
         """
@@ -359,7 +349,11 @@ class TreeReader:
         elif child.tag == "include":
             self._include(scope, child, stack)
         elif child.tag == "link":
-            self._add_link(scope, name, child, location)
+            scope.add(name, Frame(child.find("pose"), location))
+            scope.links[name] = child
+            for tag in ("collision", "visual", "sensor"):
+                for one in child.findall(tag):
+                    self._note_tags(one, f"{location}/{tag}[{_name_of(one)}]/")
         elif child.tag == "frame":
             base = (child.get("attached_to") or "").strip()
             scope.add(name, Frame(child.find("pose"), location, base))
@@ -367,13 +361,6 @@ class TreeReader:
             self.misplaced.append(f"{location} (it must be in a link)")
         elif child.tag in NOT_READ:
             self._left_out.append(f"{child.tag} {name}")
-
-    def _add_link(self, scope: Scope, name: str, element, location: str):
-        scope.add(name, Frame(element.find("pose"), location))
-        scope.links[name] = element
-        for tag in ("collision", "visual", "sensor"):
-            for one in element.findall(tag):
-                self._note_tags(one, f"{location}/{tag}[{_name_of(one)}]/")
 
     def _note_tags(self, element, location: str):
         """Note the tags in an element that are misspelt, or repeated; `location` ends where theirs follow."""

@@ -43,14 +43,6 @@ FUEL_CACHES = {  # environment variable: where the cache is without it
 }
 
 
-def fuel_caches() -> list[Path]:
-    """Return the folders in which Gazebo keeps the models that it has downloaded.
-
-    They keep their "~" for a user without a home, as in a container, of which `Path.expanduser` raises a RuntimeError.
-    """
-    return [Path(os.path.expanduser(os.environ.get(key) or usual)) for key, usual in FUEL_CACHES.items()]
-
-
 def built_in_model(uri: str) -> str | None:
     """Return the key of BUILT_IN that a URI means, also one of Gazebo Fuel; None if there is none.
 
@@ -197,9 +189,7 @@ class Resources:
 
         Raises Error if it leads out of the resource paths and the scene's folder, after symbolic links are resolved.
 
-        uri : as in the file
         base : folder of the file that holds the URI
-        location : file and element of the URI, for messages
         """
         scheme, _, rest = uri.rpartition("://")
         scheme = scheme.lower()  # by RFC 3986, capitals mean the same
@@ -287,7 +277,9 @@ class Resources:
             return None
         server, owner, name, version, file = found.groups()
         searched = []
-        for cache in fuel_caches():
+        for key, usual in FUEL_CACHES.items():
+            # of a user without a home, as in a container, `Path.expanduser` would raise a RuntimeError
+            cache = Path(os.path.expanduser(os.environ.get(key) or usual))
             folder = cache / server.lower() / owner.lower() / "models" / name.lower()
             searched.append(folder)
             try:

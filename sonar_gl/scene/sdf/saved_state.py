@@ -21,7 +21,6 @@ def apply_state(scope: Scope, world) -> str:
     Raises Error with file and element, if a pose is invalid.
 
     scope : of the world, filled, before poses of models are asked for
-    world : its element
     """
     state = world.find("state")
     if state is None:

@@ -25,23 +25,14 @@ RAY_SENSORS = {"ray", "gpu_ray", "lidar", "gpu_lidar"}
 IMAGING_SENSORS = {"camera", "depth", "depth_camera", "rgbd_camera", *RAY_SENSORS}
 PLUGIN_SOUND_SPEED_M_S = 1500.0  # of DAVE's plugins, where a sensor states none
 MAX_BEAMS, MAX_CELLS = 4096, 2**25  # beams, and beams x bins; more is no sonar, and takes gigabytes
-BOUNDS = {  # of what tags state, as for `Sonar`
-    "azimuth_fov_deg": (0.01, 360.0),
-    "elevation_fov_deg": (0.01, 170.0),
-    "n_beams": (1, MAX_BEAMS),
-    "range_min_m": (0.0, 1e5),
-    "range_max_m": (1e-3, 1e5),
-    "bin_size_m": (1e-4, 1e5),
-    "frequency_hz": (1e4, 1e8),
-}
-WORDS = {
-    "azimuth_fov_deg": "field of view",
-    "elevation_fov_deg": "vertical aperture",
-    "n_beams": "number of beams",
-    "range_min_m": "least range",
-    "range_max_m": "range",
-    "bin_size_m": "bin size",
-    "frequency_hz": "frequency",
+BOUNDS = {  # of what tags state, as for `Sonar`, and its name in messages
+    "azimuth_fov_deg": (0.01, 360.0, "field of view"),
+    "elevation_fov_deg": (0.01, 170.0, "vertical aperture"),
+    "n_beams": (1, MAX_BEAMS, "number of beams"),
+    "range_min_m": (0.0, 1e5, "least range"),
+    "range_max_m": (1e-3, 1e5, "range"),
+    "bin_size_m": (1e-4, 1e5, "bin size"),
+    "frequency_hz": (1e4, 1e8, "frequency"),
 }
 
 
@@ -170,7 +161,7 @@ def _complete(name: str, stated: dict, location: str, notes: list[str]) -> tuple
         source=location,
         **values,
     )
-    assumed = [word for key, word in WORDS.items() if key not in stated]
+    assumed = [word for key, (*_, word) in BOUNDS.items() if key not in stated]
     if spacing_deg <= preset.beam_width_deg:
         assumed.append("beam width")
     return sonar, tuple(assumed)
@@ -220,7 +211,7 @@ class _Tags:
         """Return which of BOUNDS the sensor states, within them, and "middle_deg", the azimuth of its middle."""
         found = self._camera() | self._scan() | self._plugin()
         out = {}
-        for key, (low, high) in BOUNDS.items():
+        for key, (low, high, word) in BOUNDS.items():
             value = found.get(key)
             if value is None:
                 continue
@@ -229,7 +220,7 @@ class _Tags:
                 unit = " degrees" if key.endswith("_deg") else ""
                 hint = "; tags of a scan or camera hold radians" if unit and value > high else ""
                 self.notes.append(
-                    f"{WORDS[key]} must lie in {low:g} to {high:g}{unit} (got {value:g}{hint}); it is {out[key]:g}"
+                    f"{word} must lie in {low:g} to {high:g}{unit} (got {value:g}{hint}); it is {out[key]:g}"
                 )
         if "azimuth_fov_deg" in out and (middle_deg := found.get("middle_deg", 0.0)):
             if out["azimuth_fov_deg"] / 2 + abs(middle_deg) <= 180:

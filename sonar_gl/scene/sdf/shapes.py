@@ -132,12 +132,6 @@ def read_surface_properties(element, location: str) -> SurfaceProperties:
 class BodyReader:
     """Makes the bodies of links. Each mesh file is read once; bodies that show it in one size and place share it.
 
-    Parameters
-    ----------
-    resources : finds the files that geometry names
-
-    Attributes
-    ----------
     unspecified : name of a body -> names of shapes whose reflectivity the file does not specify, or of the body
     saturated : the same of shapes whose laser_retro is more than MAX_RETRO
     retros : the values of laser_retro that shapes state, and that no image overrides

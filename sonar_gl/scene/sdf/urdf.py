@@ -24,13 +24,6 @@ def model_of(robot, location: str):
     Raises Error if there are no links, a link has two parents or is unknown, a geometry lacks a size, or an origin has
     two rotations or other text than numbers.
 
-    Parameters
-    ----------
-    robot : root element of a URDF file
-    location : the file, with which messages begin
-
-    Notes
-    -----
     Each link stays a link of its own, also at fixed joints. Of `<gazebo reference="link">` the sensors and
     bubbles go to the link; laserRetro (or laser_retro) and the other elements of namespace sonar_gl to its
     shapes.

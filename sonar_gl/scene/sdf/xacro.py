@@ -54,10 +54,6 @@ def expand(path: Path, arguments: dict[str, str], resources: Resources) -> bytes
     """Return the XML that a xacro file expands to.
 
     Raises Error if the file is no valid xacro, lacks an argument, an expression is refused, or a file is missing.
-
-    path : the file
-    arguments : values of its `<xacro:arg>`
-    resources : finds packages and included files
     """
     try:
         return _Expansion(path, arguments, resources).xml()
