@@ -109,7 +109,7 @@ class ArraysOutput(Output):
         row, arrays = request.number - self.numbers[0], self.arrays[sonar]
         class_id, first = self.schema.scene_class_id(request.scene), self.schema.first_body[request.scene]
         for layer in self._layers[sonar]:
-            arrays[layer.name][row] = layer.encode(ping, class_id, first)
+            arrays[layer.name][row] = layer.values(ping, class_id, first)
         if self.schema.body_arrays:
             boxes = boxes_of(ping, self.job.labels.height, quiet)
             bodies = first + boxes.body_id.astype(int) - 1

@@ -6,8 +6,7 @@ It is one file for each part; the end of the batch gathers them into arrays of t
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -116,23 +115,13 @@ def _rows_by_block(folder: Folder, manifest: Manifest) -> Iterator[tuple[int, np
             rows, n_rows = [block[len(block) - rest :]], rest
 
 
-@dataclass(frozen=True)
-class PingVariable(ArraySpec):
-    """An array of the store with a few numbers for each ping.
-
-    values : function of (N, width) rows of the table -> (N, ...) values
-    """
-
-    values: Callable[[np.ndarray], np.ndarray]
-
-
-def ping_variables(requests: BatchRequests, table: PingTable, sonar: str) -> Iterable[PingVariable]:
+def ping_variables(requests: BatchRequests, table: PingTable, sonar: str) -> Iterable[ArraySpec]:
     """Yield the variables of one sonar's pings."""
     mount, n_moved = requests.mounts[sonar], len(table.moved)
 
     def variable(name, values, long_name, dtype="float64", shape=(), dims=(), **more):
         fill = np.nan if dtype == "float64" else 0
-        return PingVariable(name, dtype, shape, dims, fill, {"long_name": long_name, **more}, values)
+        return ArraySpec(name, dtype, shape, dims, fill, {"long_name": long_name, **more}, values)
 
     def column(name, k=0):
         return lambda rows: table.column(rows, name)[:, k]

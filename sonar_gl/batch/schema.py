@@ -22,7 +22,6 @@ from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.compiled import compiled
 from sonar_gl.core.errors import Error
 from sonar_gl.core.names import matching_names
-from sonar_gl.ping import Ping
 from sonar_gl.sonar.sonar import Sonar
 
 BACKGROUND_WORDS = "floor", "ground", "seabed", "terrain", "heightmap", "wall"  # in names of bodies
@@ -40,7 +39,10 @@ class ArraySpec:
     name, dtype : of the array
     shape, dims : lengths and names of the dimensions beyond the first
     fill : value where nothing is stored
-    attributes : attributes of the array: its long name, units, the scale by which readers multiply
+    attributes : of the array: its long name, units, the scale by which readers multiply
+    values : function that computes it. Of an array with a value for each bin, (ping, class_id, first_body) -> (B, K)
+        array of `dtype`; class_id is (bodies of the scene + 1,), the class of each body's number, and first_body the
+        number of bodies in earlier scenes. Of one with a few numbers for each ping, rows of the `PingTable` -> (N, ...)
     """
 
     name: str
@@ -49,21 +51,11 @@ class ArraySpec:
     dims: tuple[str, ...]
     fill: float
     attributes: dict
+    values: Callable[..., np.ndarray] | None = None
 
     @property
     def bytes_per_ping(self) -> int:
         return np.dtype(self.dtype).itemsize * math.prod(self.shape)
-
-
-@dataclass(frozen=True)
-class Layer(ArraySpec):
-    """An array with a value for each bin, (ping, beam, range).
-
-    encode : function (ping, class_id, first_body) -> (B, K) array of `dtype`; class_id is (bodies of the
-        scene + 1,), the class of each body's number, and first_body the number of bodies in earlier scenes
-    """
-
-    encode: Callable[[Ping, np.ndarray, int], np.ndarray]
 
 
 def round_mantissa(values: np.ndarray, bits: int) -> np.ndarray:
@@ -104,7 +96,7 @@ def bin_layers(
     mantissa_bits: int,
     n_bodies: int,
     n_classes: int,
-) -> list[Layer]:
+) -> list[ArraySpec]:
     """Return the layers of a sonar: intensity, and those of `job.LAYERS` that are named.
 
     n_bodies counts the bodies of all scenes.
@@ -123,7 +115,7 @@ def bin_layers(
 
     def layer(name, dtype, encode, long_name, fill=0, **more):
         dims, attributes = ("beam", "range"), {"long_name": long_name, **more}
-        return Layer(name, dtype, (sonar.n_beams, sonar.n_bins), dims, fill, attributes, encode)
+        return ArraySpec(name, dtype, (sonar.n_beams, sonar.n_bins), dims, fill, attributes, encode)
 
     def quantized(name, dtype, step, long_name, units, fill=0, **more):
         """The field `name` of a ping, in steps."""
@@ -307,7 +299,7 @@ class Schema:
                 shown[numbers[0]] = names[numbers[0] - 1].partition("::")[0]
         return Instances(np.array(number_of, np.uint16), shown)
 
-    def layers(self, sonar: str) -> list[Layer]:
+    def layers(self, sonar: str) -> list[ArraySpec]:
         """Return the arrays of a sonar with a value for each bin."""
         return bin_layers(
             self._labels.layers if self._labels else [],

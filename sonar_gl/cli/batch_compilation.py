@@ -9,5 +9,5 @@ from sonar_gl.ping import Ping
 
 
 def encode_layers(ping: Ping) -> None:
-    for layer in bin_layers(("class", "elevation", "range", "share"), ping.sonar, ping.acoustics, 8, 9, 9):
-        layer.encode(ping, np.zeros(9, np.uint8), 0)
+    for layer in bin_layers(("elevation", "range", "share"), ping.sonar, ping.acoustics, 8, 9, 9):
+        layer.values(ping, np.zeros(9, np.uint8), 0)

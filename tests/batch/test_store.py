@@ -211,7 +211,7 @@ def test_the_greatest_number_is_told_from_a_missing_one(name, field, greatest, s
     (_, layer) = bin_layers([name], SONAR, sg.Acoustics.ideal(), 5, n_bodies=9, n_classes=1)
     assert layer.attributes["scale_factor"] == pytest.approx(step, rel=1e-12)
     values = np.float32([[greatest, np.nan, 0.6 * greatest]])
-    found = layer.encode(SimpleNamespace(**{field: values}), None, 0)
+    found = layer.values(SimpleNamespace(**{field: values}), None, 0)
     assert found.dtype == layer.dtype and (found == layer.fill).tolist() == [[False, True, False]]
     np.testing.assert_allclose(
         found[0, ::2] * step, values[0, ::2], rtol=0, atol=step * 0.501
@@ -226,7 +226,7 @@ def test_the_range_of_the_last_bin_has_a_number_in_any_water():
     greatest = acoustics.true_range_sonar(SONAR).range_max_m
     assert greatest > 1.05 * SONAR.range_max_m
     (_, layer) = bin_layers(["range"], SONAR, acoustics, 5, n_bodies=9, n_classes=1)
-    (found,) = layer.encode(SimpleNamespace(true_range_m=np.float32([greatest])), None, 0)
+    (found,) = layer.values(SimpleNamespace(true_range_m=np.float32([greatest])), None, 0)
     assert found * layer.attributes["scale_factor"] == pytest.approx(greatest, rel=1e-4)
 
 
@@ -244,7 +244,7 @@ def test_classes_are_those_of_bodies_and_shadows_are_ones():
 def test_the_error_of_intensities_is_as_the_attributes_state():
     (layer,) = bin_layers([], SONAR, sg.Acoustics.ideal(), 5, n_bodies=9, n_classes=1)
     values = np.random.default_rng(0).uniform(1e-3, 1e3, (100, 100)).astype(np.float32)
-    wrong = np.abs(layer.encode(SimpleNamespace(intensity=values), None, 0) / values - 1).max()
+    wrong = np.abs(layer.values(SimpleNamespace(intensity=values), None, 0) / values - 1).max()
     stated = layer.attributes["relative_error_max"]
     assert 0.95 * stated < wrong <= stated
 
@@ -256,7 +256,7 @@ def test_bins_without_a_body_have_none_in_later_scenes_either(first):
     ids = np.arange(15, dtype=np.uint16).reshape(3, 5) % 4
     ping = sg.Ping(np.zeros((3, 5), np.float32), SONAR.azimuth_rad, SONAR.range_m, body_id=ids)
     assert np.array_equal(
-        layer.encode(ping, np.zeros(10, np.uint8), first), np.where(ids > 0, ids + first, 0)
+        layer.values(ping, np.zeros(10, np.uint8), first), np.where(ids > 0, ids + first, 0)
     )
 
 
