@@ -47,8 +47,9 @@ class DamagedRecordError(Error):
 
 def sync_file_system(path: str) -> None:
     """Write all that waits in memory for the file system of a folder to its disk."""
-    syncfs = _syncfs()
-    if syncfs is None:
+    try:
+        syncfs = ctypes.CDLL(None, use_errno=True).syncfs
+    except (OSError, AttributeError, TypeError):  # another C library; TypeError: of Windows
         if hasattr(os, "sync"):  # Windows flushes single files alone
             os.sync()
         return
@@ -56,14 +57,6 @@ def sync_file_system(path: str) -> None:
         if syncfs(descriptor):
             code = ctypes.get_errno()
             raise OSError(code, os.strerror(code), path)
-
-
-def _syncfs():
-    """Return Linux's function that flushes a file system, or None where there is another C library."""
-    try:
-        return ctypes.CDLL(None, use_errno=True).syncfs
-    except (OSError, AttributeError, TypeError):  # TypeError: of Windows
-        return None
 
 
 def sync(path: str) -> None:

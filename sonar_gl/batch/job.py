@@ -1,4 +1,4 @@
-"""The job file of a batch: its tables, and what its keys may hold."""
+"""The job file of a batch: its tables, and what its keys may hold. docs/batch.md says what each key means."""
 
 from __future__ import annotations
 
@@ -106,13 +106,7 @@ PathFiles = Annotated[
 
 
 class SonarTable(Table):
-    """One sonar on the vehicle.
-
-    sonar : name of a preset, or path of a .toml file
-    name : name of the sonar's arrays and topics; by default made from the name in its data sheet
-    range_m, bins : replace those of the data sheet
-    mount : x y z roll pitch yaw of the sonar on the vehicle, metres and radians
-    """
+    """One sonar on the vehicle."""
 
     sonar: Annotated[str, Field(description=SONAR)]
     name: Annotated[str, Field(pattern=IDENTIFIER, description="arrays and topics have this name")] = None
@@ -122,19 +116,7 @@ class SonarTable(Table):
 
 
 class MovedTable(Table):
-    """Bodies whose pose, size or reflectivity changes from ping to ping.
-
-    names : names of bodies, with the wildcards * and ?
-    apart : each body, or model whose name one of `names` matches, has its own random draw; otherwise all move together
-    one_of : one of these bodies or models at a time is there, each as often; the others are absent
-    rests_on : name of the floor on which the bodies rest, `z_m` above it, however they turn
-    clearance_m : least distance, from above, to other bodies of tables that state one; redrawn until it holds
-    path : files of poses over time, one of which the bodies follow in each trajectory run; None: they stay in place
-    x_m, y_m, z_m : shifts in the world
-    roll_rad, pitch_rad, yaw_rad : rotations about the body's own axes
-    scale : times the size, about the point about which the bodies turn
-    there : probability that the bodies are present
-    """
+    """Bodies whose pose, size or reflectivity changes from ping to ping; `path` None: they stay in place."""
 
     names: Names
     apart: bool = False
@@ -166,12 +148,7 @@ class MovedTable(Table):
 
 
 class VaryTable(Table):
-    """What changes from ping to ping, by uniform random draws.
-
-    hold_pings : consecutive pings of a path that have the draws of the first of them; None for new draws in each ping
-    water : fields of `Water`
-    noise : fields of `Noise`
-    """
+    """What changes from ping to ping, by uniform random draws."""
 
     hold_pings: Annotated[int, Field(ge=1)] = None
     bodies: list[MovedTable] = Field([])
@@ -180,16 +157,7 @@ class VaryTable(Table):
 
 
 class LabelsTable(Table):
-    """Labels to store.
-
-    layers : some of LAYERS
-    classes : name of each class, in the order of their numbers, and the bodies in it, with the wildcards
-        * and ?
-    background : bodies on which shadows fall
-    height : height in pixels of the fan image in which bounding boxes are given
-    level_db : bins are labelled where a body's mean echo is at least this, dB; None for what the display of each sonar
-        shows above the noise
-    """
+    """Labels to store; `level_db` None: bins are labelled that the display of each sonar shows above the noise."""
 
     layers: Annotated[list[Literal[LAYERS]], Field(min_length=1), AfterValidator(_check_no_layer_twice)] = (
         Field(list(LAYERS[:3]))
@@ -210,10 +178,7 @@ class LabelsTable(Table):
 
 
 class ArraysTable(Table):
-    """How the store keeps intensities.
-
-    mantissa_bits : bits of mantissa; 23 keeps float32 as it is, and each bit less doubles the error
-    """
+    """How the store keeps intensities; 23 bits of mantissa keep float32 as it is."""
 
     mantissa_bits: Annotated[int, Field(ge=1, le=23)] = 5
 
@@ -284,8 +249,6 @@ class OpticalTable(Table):
 class Job(Table):
     """A job file as read. `requests.BatchRequests` builds the objects that it describes.
 
-    only, without : names of bodies with the wildcards * and ?; the others, or these, are left out of all scenes
-    surface_z_m : height of the water's surface in all scenes
     where : the job file's name in error messages
     folder : folder of the job file; relative paths in the job start there
     """

@@ -151,11 +151,7 @@ class Lawnmower(Trajectory):
     Raises ValidationError if a setting is out of bounds, or there are more than 1e9 pings.
 
     centre_m : x, y of the centre of the rectangle
-    z_m : height of the vehicle
-    length_m, width_m : extent along and across the legs
-    line_spacing_m, speed_m_s, ping_rate_hz : pings on a leg are speed / rate apart
     yaw_rad : heading of the first leg
-    pitch_rad, roll_rad : of the vehicle, on every leg
     """
 
     centre_m: HorizontalPosition
@@ -207,8 +203,6 @@ class Orbit(Trajectory):
     Raises ValidationError if a setting is out of bounds.
 
     centre_m : x, y, z of the target
-    radius_m : horizontal distance from it
-    z_m : height of the vehicle
     n_pings : number of equal steps; the last ping is one step before the end, since after whole turns the end
         is the first position
     turns : number of turns, positive counter-clockwise seen from above, not 0
@@ -255,9 +249,7 @@ class SectorScan(EvenTrajectory):
 
     Raises ValidationError if a setting is out of bounds.
 
-    position_m : x, y, z
     pan_rad : yaw at the start and at the end of a sweep
-    n_pings, ping_rate_hz : number of pings, and pings per second
     sweep_s : time from one end to the other
     tilt_rad : pitch, positive looks down
     """
@@ -301,7 +293,6 @@ class RandomViews(EvenTrajectory):
     elevation_rad : [low, high], elevation of the sonar seen from the point, positive above
     z_m : [low, high], height of the sonar, such as from the floor to the surface
     azimuth_jitter_rad, elevation_jitter_rad : largest angle between the point and the boresight
-    roll_jitter_rad : largest roll
     ping_rate_hz : decides the times only
     """
 

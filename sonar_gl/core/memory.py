@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import mmap
 from contextlib import suppress
-from functools import cache
 
 import numpy as np
 
@@ -26,20 +25,10 @@ def sparse_table(n_rows: int, n_columns: int) -> np.ndarray:
     return np.frombuffer(memory).reshape(n_rows, n_columns)
 
 
-@cache
-def _malloc_trim():
-    """Return glibc's malloc_trim, or None where there is another C library."""
-    try:
-        return ctypes.CDLL(None).malloc_trim
-    except (OSError, AttributeError, TypeError):  # TypeError: of Windows
-        return None
-
-
 def return_free_memory() -> None:
     """Give freed memory back to the operating system; takes milliseconds.
 
     By itself glibc keeps what lies below memory in use: after large arrays were freed, hundreds of megabytes.
     """
-    trim = _malloc_trim()
-    if trim is not None:
-        trim(0)
+    with suppress(OSError, AttributeError, TypeError):  # another C library; TypeError: of Windows
+        ctypes.CDLL(None).malloc_trim(0)

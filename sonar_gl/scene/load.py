@@ -82,8 +82,8 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     Convention: z is up. A glTF file, which is y-up by its standard, is turned by (x, y, z) -> (x, -z, y); all
     other files and objects keep their coordinates. Each placed geometry of a mesh file becomes a body of
     reflectivity 0.5, with one warning. Objects of trimesh are shaded flat, because trimesh computes normals
-    where a mesh has none; those of pyrender keep the normals that pyrender renders with. For objects and files of
-    MuJoCo see `sonar_gl.scene.mujoco_model.convert_mujoco_model`.
+    where a mesh has none; those of pyrender keep the normals that pyrender renders with. docs/conventions.md
+    describes scenes of each format.
     """
     if not isinstance(skip_missing, bool | np.bool_):
         raise Error(f"skip_missing must be True or False (got {shown(skip_missing)})")

@@ -238,14 +238,10 @@ def _shape_of(mesh, key: str, path: Path) -> tuple[Shape, float]:
     shape = make_shape(mesh.vertices, mesh.faces, normals)
     suffix = path.suffix.lower()
     is_double = suffix in DECIMAL_SUFFIXES or (suffix == ".ply" and has_doubles(path))
-    return shape, 0.0 if is_double else _step(shape.mesh.vertices)
-
-
-def _step(vertices: np.ndarray) -> float:
-    """Return the step of positions, (V, 3), that are in single precision; 0 of others."""
-    if (vertices != vertices.astype(np.float32)).any():
-        return 0.0
-    return float(np.spacing(np.abs(vertices).max().astype(np.float32)))
+    vertices = shape.mesh.vertices
+    if is_double or (vertices != vertices.astype(np.float32)).any():
+        return shape, 0.0
+    return shape, float(np.spacing(np.abs(vertices).max().astype(np.float32)))
 
 
 def _name_in_file(scene, node: str, mesh) -> str:

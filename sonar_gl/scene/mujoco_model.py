@@ -55,17 +55,8 @@ def is_mujoco_model(what) -> bool:
 def convert_mujoco_model(what, name: str = "scene", path: Path | None = None) -> Scene:
     """Return the scene of a mujoco.MjModel at its reference configuration, or of a mujoco.MjData as it is now.
 
-    Raises Error if a geom that MuJoCo shows has no surface.
-
-    Each MuJoCo body becomes a body of its name, or `body_3` by its number; each geom of the world becomes one,
-    too. Geoms of a body whose smoothness differs from its first one's are bodies `body::geom`. Geoms of groups
-    3 to 5 and transparent ones are left out, and those of the body that carries the sonar.
-
-    A geom whose material has the name of one of `materials` gets its acoustic properties; others have
-    reflectivity 0.5.
-
-    The sonar is the first site whose name contains one of SONAR_WORDS, its axes x ahead, y to port and z up;
-    else the first such camera, looking along the boresight.
+    Raises Error if a geom that MuJoCo shows has no surface. docs/conventions.md, "Scenes of MuJoCo", says what becomes
+    of bodies, geoms and materials, and which site or camera is the sonar.
 
     path : file that warnings name; None for an object
     """

@@ -58,30 +58,7 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
     path : a file of SDF (.sdf, .world), URDF (.urdf) or xacro (.xacro, also with arguments), or the folder of a model
     resource_paths, skip_missing : as for `load_scene`; no file outside the folders of `Resources` is read
 
-    Bodies. A link becomes a body, with the name and the pose of its model, or `model::link` with the pose of the
-    link if several links of the model have geometry; in a URDF file, with those of the link, all joints at zero.
-    The collisions of a link make its body; its visuals if it has no collisions, or if only visuals have surface
-    properties. The link that carries the sonar makes no body.
-
-    Surface properties of a collision or visual: reflectivity is `<laser_retro>` / 255, or 0.5, with one
-    warning, if the element is absent. Extensions: `<sonar_gl:material>`, a name; `<sonar_gl:specular>` and
-    `<sonar_gl:roughness>`, numbers as for `Body`; these and laser_retro override the material.
-    `<sonar_gl:reflectivity_map>`, an image applied to the shape from above, first row at the highest y,
-    overrides all of them. `<sonar_gl:speckle_shape>` is a number as for `Body`. Shapes of one link with different
-    specular lobes or speckle shapes are separate bodies; those after the first are named `model::shape`.
-
-    The sonar is the first `<sensor type="custom">`, else the first sensor that is named after a sonar by its
-    own name or plugin, else by its model; see `sensors.find_sonars`. `Scene.sonar` is what its tags state. A value
-    that no sonar has is replaced, with one warning.
-
-    Shapes of water and marks such as coordinate axes, which `water` recognises by names and materials, are
-    left out, with one warning, unless they have surface properties. Where the file has no
-    `<sonar_gl:surface>`, the highest shape of water is the water's surface.
-
-    Models stand where the `<state>` of a world puts them, with one warning of those that it moves.
-
-    A link may hold `<sonar_gl:bubbles>`, a plume, and a world `<sonar_gl:surface>`; see `extensions`.
-    Elements without acoustic meaning are ignored.
+    docs/conventions.md, "Scenes in SDF", says which links become bodies, and which tags count.
     """
     text, arguments = split_arguments(str(path))
     path = Path(text)
