@@ -132,6 +132,7 @@ class PicturesOutput(CountsOutput):
     def __init__(self, *context):
         super().__init__(*context)
         self._draw = self.table.style
+        self._filmed = tuple(self.requests.sonars) if "mp4" in self.table.formats else ()
 
     def add(self, request, sonar, ping, quiet):
         ping = self.with_counts(sonar, ping)
@@ -140,11 +141,6 @@ class PicturesOutput(CountsOutput):
             self.put(ping_file(f"png/{sonar}", request.number, "png"), png_bytes(picture))
         if "npz" in self.table.formats:
             self.put(ping_file(f"npz/{sonar}", request.number, "npz"), npz_bytes(ping))
-
-    @property
-    def _filmed(self) -> tuple[str, ...]:
-        """The names of the sonars that have a film."""
-        return tuple(self.requests.sonars) if "mp4" in self.table.formats else ()
 
     def try_out(self) -> None:
         """Write a film of one black picture of each sonar; raise an Error if that is not possible on this machine."""

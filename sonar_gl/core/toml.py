@@ -28,29 +28,31 @@ def read_toml(path: Path, what: str, hint: str = "") -> dict:
     hint : what to do instead, which ends the message about a file of another kind
     """
     check_kind_of_file(path, pipe=True)
+    other = None  # than UTF-8
     try:
         text = path.read_text(encoding="utf-8-sig")
+        if is_utf_16(
+            text[:2].encode()
+        ):  # without a mark of byte order and of ASCII alone, it passes for UTF-8
+            other = "UTF-16"
     except OSError as why:
         raise Error(f"{path}: {what} must be readable ({read_error_text(why)})") from None
     except UnicodeDecodeError as why:
         line = why.object.count(b"\n", 0, why.start) + 1
-        got = f"byte 0x{why.object[why.start]:02x} in line {line}"
-        raise _encoding_error(path, what, "UTF-16" if is_utf_16(why.object) else got, hint) from None
-    if is_utf_16(text[:2].encode()):  # without a mark of byte order and of ASCII alone, it passes for UTF-8
-        raise _encoding_error(path, what, "UTF-16", hint)
+        place = f"byte 0x{why.object[why.start]:02x} in line {line}"
+        other = "UTF-16" if is_utf_16(why.object) else place
+    if other is not None:
+        raise Error(f"{path}: {what} must be TOML in UTF-8 (got {other}; {hint or 'save it as UTF-8'})")
     try:
         found = tomllib.loads(text)
+        is_deep = _is_deep(found)
     except RecursionError:
-        raise _nesting_error(path, what) from None
+        is_deep = True
     except ValueError as why:  # the message names the line
         raise Error(f"{path}: {what} must be TOML ({why}{hint and f'; {hint}'})") from None
-    if _is_deep(found):
-        raise _nesting_error(path, what)
+    if is_deep:
+        raise Error(f"{path}: {what} must nest tables and arrays at most {MAX_TOML_DEPTH} deep (got more)")
     return found
-
-
-def _encoding_error(path: Path, what: str, got: str, hint: str) -> Error:
-    return Error(f"{path}: {what} must be TOML in UTF-8 (got {got}; {hint or 'save it as UTF-8'})")
 
 
 def toml_text(table: dict) -> str:
@@ -88,7 +90,3 @@ def _is_deep(found: dict) -> bool:
         inner = (value for one in level for value in (one.values() if isinstance(one, dict) else one))
         level = [value for value in inner if isinstance(value, (dict, list))]
     return bool(level)
-
-
-def _nesting_error(path: Path, what: str) -> Error:
-    return Error(f"{path}: {what} must nest tables and arrays at most {MAX_TOML_DEPTH} deep (got more)")

@@ -236,9 +236,9 @@ def test_classes_are_those_of_bodies_and_shadows_are_ones():
     )
     ids, is_shadow = np.array([[0, 3], [1, 2]], np.uint16), np.array([[True, False], [False, False]])
     ping, class_id = SimpleNamespace(body_id=ids, shadow=is_shadow), np.array([0, 2, 3, 1], np.uint8)
-    found = classes.encode(ping, class_id, 5)
+    found = classes.values(ping, class_id, 5)
     assert found.tolist() == [[0, 1], [2, 3]] and found.dtype == classes.dtype
-    assert shadow.encode(ping, class_id, 5).tolist() == [[1, 0], [0, 0]]
+    assert shadow.values(ping, class_id, 5).tolist() == [[1, 0], [0, 0]]
 
 
 def test_the_error_of_intensities_is_as_the_attributes_state():
