@@ -2,42 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.scene import Body, Scene
 
 
 class GrownScene:
-    """A scene and what was added to it; they are put together when that is asked for, each time all of them.
+    """A scene and the bodies and plumes that were added to it, put together when the scene is asked for."""
 
-    Parameters
-    ----------
-    scene : Scene; None for `before` and what was added to it
-    before, things : GrownScene, and the bodies and plumes that were added
+    def __init__(self, scene: Scene, things: Iterable[Body | Bubbles] = ()):
+        self._parts = scene, tuple(things)  # one attribute, as other threads may replace it
 
-    Attributes
-    ----------
-    made_of : the three parameters
-    """
-
-    def __init__(self, scene: Scene | None, before: GrownScene | None = None, things: Sequence = ()):
-        # either a scene, or what this one was made of; one attribute, as other threads may replace it
-        self.made_of: tuple[Scene | None, GrownScene | None, Sequence] = scene, before, things
-
-    def with_more(self, things: Sequence[Body | Bubbles]) -> GrownScene:
+    def with_more(self, things: Iterable[Body | Bubbles]) -> GrownScene:
         """Return this scene and more bodies and plumes, whose names it must not have. This object stays as it is."""
-        return GrownScene(None, self, things)
+        scene, before = self._parts
+        return GrownScene(scene, (*before, *things))
 
     @property
     def scene(self) -> Scene:
         """The scene, with all that was added."""
-        parts = []
-        scene, before, things = self.made_of
-        while scene is None:
-            parts.append(things)
-            scene, before, things = before.made_of
-        if parts:
-            scene = scene.with_more([thing for part in reversed(parts) for thing in part])
-            self.made_of = scene, None, ()
+        scene, things = self._parts
+        if things:
+            scene = scene.with_more(things)
+            self._parts = scene, ()
         return scene
