@@ -204,12 +204,8 @@ class Folder:
 
     def put(self, name: str, data: bytes, is_record: bool = False) -> None:
         """Write bytes to a file; is_record : as for `writing`."""
-        if self.is_local:
-            with self.writing(name, is_record) as path:
-                path.write_bytes(data)
-        else:
-            self.fs.makedirs(str(PurePosixPath(self.path(name)).parent), exist_ok=True)
-            self.fs.pipe_file(self.path(name), data)
+        with self.writing(name, is_record) as path:
+            path.write_bytes(data)
 
     def put_record(self, name: str, values: dict) -> None:
         """Write plain values as a record; the same values give the same bytes."""

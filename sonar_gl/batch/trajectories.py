@@ -83,8 +83,8 @@ HeightBounds = Annotated[_several(Coordinate, 2, BOUNDS_M), AfterValidator(_chec
 class Trajectory(ABC):
     """A sequence of (time_s, world_from_vehicle) by ping number; nothing is stored.
 
-    Subclasses are frozen dataclasses of settings, which pydantic checks. A table of the job file has the same
-    settings under the same names.
+    Subclasses are frozen dataclasses of settings; pydantic raises ValidationError for one that is out of bounds. A
+    table of the job file has the same settings under the same names, which docs/batch.md describes.
     """
 
     @abstractmethod
@@ -200,8 +200,6 @@ class Lawnmower(Trajectory):
 class Orbit(Trajectory):
     """A horizontal circle about a target; the sonar looks at the target.
 
-    Raises ValidationError if a setting is out of bounds.
-
     centre_m : x, y, z of the target
     n_pings : number of equal steps; the last ping is one step before the end, since after whole turns the end
         is the first position
@@ -246,8 +244,6 @@ class EvenTrajectory(Trajectory):
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class SectorScan(EvenTrajectory):
     """A sonar at a fixed position that pans to and fro at a constant rate, as on a pan and tilt unit.
-
-    Raises ValidationError if a setting is out of bounds.
 
     pan_rad : yaw at the start and at the end of a sweep
     sweep_s : time from one end to the other

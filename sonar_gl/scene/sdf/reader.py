@@ -85,7 +85,8 @@ def read_sdf(path, resource_paths=(), skip_missing: bool = False) -> Scene:
         height_m = None  # the file states the surface
     elif height_m is not None:
         surface = {"surface_z_m": height_m}
-    _warn(path, [*_notes_of_water(water, height_m), *_notes_of_rays(links, sonars), *tree.notes(path), moved])
+    rays = [] if sonars else ray_sensors_of(links)
+    _warn(path, [*_notes(water, height_m, rays), *tree.notes(path), moved])
     _check_missing(path, resources, skip_missing)
     _warn_of_shapes(path, reader, tree.misplaced, len(bodies))
     _warn(path, changed)
@@ -111,17 +112,13 @@ def _warn_of_broken_xml(path: Path, resources: Resources) -> None:
         warn_caller(f"{path}: broken XML, read as Gazebo reads it: {files}")
 
 
-def _notes_of_water(left_out: list[str], height_m: float | None) -> Iterator[str]:
-    """Yield what to say of shapes of water: names of those left out, and the height of the surface that one gives."""
-    if left_out:
-        yield f"water and marks are no bodies, and are left out ({some_names(left_out)})"
+def _notes(water: list[str], height_m: float | None, rays: list[str]) -> Iterator[str]:
+    """Yield what to say of shapes of water that are left out, the surface that one gives, and ray sensors."""
+    if water:
+        yield f"water and marks are no bodies, and are left out ({some_names(water)})"
     if height_m is not None:
         yield f"the water's surface is taken from its shape, z = {height_m:g} m"
-
-
-def _notes_of_rays(links: list[Link], sonars: list[SensorOfLink]) -> Iterator[str]:
-    """Yield what to say of ray sensors in a scene without a sonar."""
-    if not sonars and (rays := ray_sensors_of(links)):
+    if rays:
         yield (
             f"no sensor is named after a sonar; if a ray sensor stands for one ({some_names(rays)}), write 'sonar' "
             "into its name, and its place and settings are taken"
