@@ -181,27 +181,9 @@ def _compacted(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.
 
     faces : (m, 3) int32 indices into `vertices`
     """
-    used, numbered = np.empty_like(vertices), np.empty((len(faces), 3), np.int32)
-    n = _compact(vertices, faces, used, numbered)
-    return used[:n].copy(), numbered
-
-
-@rounded_alike
-def _compact(vertices, faces, used, numbered):
-    """Fill `numbered`, and the first of `used`, with what `_compacted` returns; return how many are used."""
-    number = np.full(vertices.shape[0], -1, np.int32)
-    for f in range(faces.shape[0]):
-        for k in range(3):
-            number[faces[f, k]] = 0
-    n = 0
-    for v in range(vertices.shape[0]):
-        if number[v] == 0:
-            used[n], number[v] = vertices[v], n
-            n += 1
-    for f in range(faces.shape[0]):
-        for k in range(3):
-            numbered[f, k] = number[faces[f, k]]
-    return n
+    is_used = np.zeros(len(vertices), bool)
+    is_used[faces] = True
+    return vertices[is_used], (np.cumsum(is_used, dtype=np.int32) - 1)[faces]
 
 
 def _joined(
@@ -211,34 +193,9 @@ def _joined(
 
     vertices, more_vertices : rising; faces, more_faces : int32 indices into them
     """
-    both = np.empty(len(vertices) + len(more_vertices), vertices.dtype)
-    joined = np.empty((len(faces) + len(more_faces), 3), np.int32)
-    n = _join(vertices, faces, more_vertices, more_faces, both, joined)
-    return both[:n].copy(), joined
-
-
-@rounded_alike
-def _join(vertices, faces, more_vertices, more_faces, both, joined):
-    """Fill `joined`, and the first of `both`, with what `_joined` returns; return how many vertices there are."""
-    count, more = vertices.shape[0], more_vertices.shape[0]
-    number, more_number = np.empty(count, np.int32), np.empty(more, np.int32)
-    n, i, j = 0, 0, 0
-    while i < count or j < more:
-        is_one = i < count and (j >= more or vertices[i] <= more_vertices[j])
-        is_other = j < more and (i >= count or more_vertices[j] <= vertices[i])
-        if is_one:
-            both[n], number[i] = vertices[i], n
-            i += 1
-        if is_other:
-            both[n], more_number[j] = more_vertices[j], n
-            j += 1
-        n += 1
-    for k in range(3):
-        for f in range(faces.shape[0]):
-            joined[f, k] = number[faces[f, k]]
-        for f in range(more_faces.shape[0]):
-            joined[faces.shape[0] + f, k] = more_number[more_faces[f, k]]
-    return n
+    both = np.union1d(vertices, more_vertices)
+    numbers = (np.searchsorted(both, one).astype(np.int32) for one in (vertices, more_vertices))
+    return both, np.concatenate([of[one] for of, one in zip(numbers, (faces, more_faces), strict=True)])
 
 
 def _patch(faces) -> _Patch:

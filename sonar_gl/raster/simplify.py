@@ -20,7 +20,7 @@ PASS_SLACK = 1.5  # a pass collapses edges up to this many times the error of th
 
 
 @rounded_alike
-def _quadrics(points, faces, quadrics):
+def _add_quadrics(points, faces, quadrics):
     """Add to the quadric of each vertex, (V, 11), the area-weighted squared distance to the planes of its faces."""
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -123,56 +123,6 @@ def _pinches(faces, start, about, remap, a, b):
     return False
 
 
-@rounded_alike
-def stable_argsort(costs):
-    """Return the order of rising costs, (n,) int64; equal costs stay in their order.
-
-    np.argsort is avoided: in Numba's disk cache its parts may have the names of parts of np.sort that another process
-    has cached, and the wrong one would run.
-    """
-    order, other = np.arange(costs.shape[0]), np.empty(costs.shape[0], np.int64)
-    width = 1
-    while width < costs.shape[0]:
-        for low in range(0, costs.shape[0], 2 * width):
-            middle, high = min(low + width, costs.shape[0]), min(low + 2 * width, costs.shape[0])
-            i, j = low, middle
-            for k in range(low, high):
-                if j >= high or (i < middle and costs[order[i]] <= costs[order[j]]):
-                    other[k] = order[i]
-                    i += 1
-                else:
-                    other[k] = order[j]
-                    j += 1
-        order, other = other, order
-        width *= 2
-    return order
-
-
-@rounded_alike
-def nth_smallest(values, k):
-    """Return the value that would be at place k if the values, (n,), were sorted; they are reordered.
-
-    Hoare, "Algorithm 65: find", Communications of the ACM 4, 1961.
-    """
-    low, high = 0, values.shape[0] - 1
-    while low < high:
-        pivot, i, j = values[k], low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while pivot < values[j]:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if j < k:
-            low = i
-        if k < i:
-            high = j
-    return values[k]
-
-
 def simplify(points: np.ndarray, faces: np.ndarray, locked: np.ndarray, target: int) -> tuple:
     """Collapse edges of a mesh until `target` faces remain.
 
@@ -188,9 +138,29 @@ def simplify(points: np.ndarray, faces: np.ndarray, locked: np.ndarray, target: 
     faces : (F', 3) int32, over a subset of the vertices
     error_m : largest rms distance between the end of a collapsed edge and the planes of the vertex it replaces
     """
-    left = np.empty(faces.shape, np.int32)
-    n_left, error_m = _simplify(points, faces, locked, target, left)
-    return left[:n_left].copy(), error_m
+    quadrics, remap = np.zeros((len(points), 11)), np.arange(len(points), dtype=np.int32)
+    _add_quadrics(points, faces, quadrics)
+    pairs, costs, worst = np.empty((3 * len(faces), 2), np.int32), np.empty(3 * len(faces)), 0.0
+    for _ in range(MAX_PASSES):
+        if len(faces) <= target:
+            break
+        count = _rate_edges(points, faces, locked, quadrics, pairs, costs)
+        if count == 0:
+            break
+        n_needed = (len(faces) - target + 1) // 2
+        place = min(n_needed, count - 1)
+        limit = np.partition(costs[:count], place)[place] * PASS_SLACK + 1e-30
+        cheap = np.flatnonzero(
+            costs[:count] <= limit
+        )  # only these are sorted, since the pass ends at the limit
+        cheap = cheap[np.argsort(costs[cheap], kind="stable")]
+        done, most = _collapse(pairs[cheap], costs[cheap], n_needed, points, faces, quadrics, remap)
+        if done == 0:
+            break
+        worst, faces = max(worst, most), remap[faces]
+        i, j, k = faces.T
+        faces = faces[(i != j) & (j != k) & (k != i)]
+    return faces, math.sqrt(worst)
 
 
 @rounded_alike
@@ -215,25 +185,15 @@ def _rate_edges(points, faces, locked, quadrics, pairs, costs):
 
 
 @rounded_alike
-def _keep_cheap(pairs, costs, count, limit):
-    """Move the edges that cost at most `limit` to the front, in their order; return how many there are."""
-    n_cheap = 0
-    for n in range(count):
-        if costs[n] <= limit:
-            pairs[n_cheap, 0], pairs[n_cheap, 1], costs[n_cheap] = pairs[n, 0], pairs[n, 1], costs[n]
-            n_cheap += 1
-    return n_cheap
-
-
-@rounded_alike
 def _collapse(pairs, costs, n_needed, points, faces, quadrics, remap):
-    """Collapse edges that are independent of each other, the cheapest first; return how many, and the largest cost.
+    """Collapse edges that are independent of each other, in their order; return how many, and the largest cost.
 
+    pairs, costs : of `_rate_edges`, by rising cost
     quadrics, remap : of the vertices that stay, and where each vertex has gone; both are updated
     """
     start, about = _neighbours(faces, points.shape[0])
     touched, done, worst = np.zeros(points.shape[0], np.bool_), 0, 0.0
-    for n in stable_argsort(costs):
+    for n in range(len(costs)):
         if done >= n_needed:
             break
         a, b = pairs[n, 0], pairs[n, 1]
@@ -248,45 +208,3 @@ def _collapse(pairs, costs, n_needed, points, faces, quadrics, remap):
         worst = max(worst, costs[n])
         done += 1
     return done, worst
-
-
-@rounded_alike
-def _drop_collapsed(faces, remap):
-    """Write the faces that still have three vertices to the first rows of `faces`; return how many there are."""
-    n_left = 0
-    for f in range(faces.shape[0]):
-        i, j, k = remap[faces[f, 0]], remap[faces[f, 1]], remap[faces[f, 2]]
-        if i != j and j != k and i != k:
-            faces[n_left, 0], faces[n_left, 1], faces[n_left, 2] = i, j, k
-            n_left += 1
-    return n_left
-
-
-@rounded_alike
-def _simplify(points, faces, locked, target, left):
-    """Write the faces of `simplify` to the first rows of `left`; return how many there are, and the error."""
-    n_vertices = points.shape[0]
-    quadrics = np.zeros((n_vertices, 11))
-    _quadrics(points, faces, quadrics)
-    n_faces, worst = faces.shape[0], 0.0
-    for f in range(n_faces):  # Numba takes three seconds to compile `left[:] = faces`
-        for k in range(3):
-            left[f, k] = faces[f, k]
-    remap = np.arange(n_vertices).astype(np.int32)
-    pairs, costs = np.empty((3 * n_faces, 2), np.int32), np.empty(3 * n_faces)
-    for _ in range(MAX_PASSES):
-        if n_faces <= target:
-            break
-        count = _rate_edges(points, left[:n_faces], locked, quadrics, pairs, costs)
-        if count == 0:
-            break
-        n_needed = (n_faces - target + 1) // 2
-        limit = nth_smallest(costs[:count].copy(), min(n_needed, count - 1)) * PASS_SLACK + 1e-30
-        # only these are sorted, since the pass ends at the limit
-        n_cheap = _keep_cheap(pairs, costs, count, limit)
-        done, most = _collapse(pairs, costs[:n_cheap], n_needed, points, left[:n_faces], quadrics, remap)
-        if done == 0:
-            break
-        worst = max(worst, most)
-        n_faces = _drop_collapsed(left[:n_faces], remap)
-    return n_faces, math.sqrt(worst)

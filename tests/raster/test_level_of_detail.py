@@ -11,7 +11,7 @@ import sonar_gl as sg
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu.kernels.rasterization import MAX_PATCH_VERTICES
 from sonar_gl.raster.level_of_detail import make_levels
-from sonar_gl.raster.simplify import nth_smallest, simplify, stable_argsort
+from sonar_gl.raster.simplify import simplify
 from tests.support.processes import python
 from tests.support.worlds import terrain
 
@@ -387,19 +387,6 @@ def test_levels_are_the_same_on_all_processors(tmp_path):
     generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
     found = [python("-c", LEVELS_OF_A_TORUS, environment=one, check=True).stdout for one in ({}, generic)]
     assert len(found[0]) == 65 and found[0] == found[1]
-
-
-@pytest.mark.parametrize("n", [0, 1, 2, 3, 1000, 4097])
-def test_stable_argsort(n):
-    costs = np.random.default_rng(n).integers(0, 50, n).astype(float)  # with ties
-    assert np.array_equal(stable_argsort(costs), np.argsort(costs, kind="stable"))
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 1000])
-def test_nth_smallest(n):
-    values = np.random.default_rng(n).integers(0, 50, n).astype(float)  # with ties
-    for k in (0, n // 3, n - 1):
-        assert nth_smallest(values.copy(), k) == np.sort(values)[k]
 
 
 @pytest.mark.parametrize("is_simplified", [False, True])
