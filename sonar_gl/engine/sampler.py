@@ -77,8 +77,11 @@ class Sampler(Protocol):
         """Return the estimated error of a ping."""
 
 
-class FixedSampling:
-    """Samples that were given: nothing to choose, nothing promised. A `Sampler`; no ping is `is_apart`."""
+class FixedSampling(Sampler):
+    """Samples that were given: nothing to choose, nothing promised, and no ping depends on those before.
+
+    What it takes over from `Sampler` does nothing, and returns None.
+    """
 
     search = tolerance = choice = history = None
     is_live = False
@@ -90,33 +93,9 @@ class FixedSampling:
         """Return the samples."""
         return self.resolution
 
-    def review(self, received: ReceivedPing) -> None:
-        """Return None: there are no others."""
-
     def fewer_samples(self, error: SampleLimitError) -> Resolution:
         """Raise the error."""
         raise error
-
-    def history_with(self, setup: PingSetup) -> None:
-        """Return None: no ping depends on those before."""
-
-    def is_check_due(self, history: None) -> bool:
-        """Return False."""
-        return False
-
-    def has_changed(self, total: float) -> bool:
-        """Return False."""
-        return False
-
-    def fix(self, setups: Sequence[PingSetup]) -> None:
-        """Return None: the samples are fixed."""
-
-    def is_apart(self, setup: PingSetup) -> bool:
-        """Return False."""
-        return False
-
-    def history_with_apart(self, setup: PingSetup) -> None:
-        """Return None: no ping depends on those before."""
 
     def affordable(self, drawn: DrawnPing) -> Resolution:
         """Return the ping's own."""
@@ -125,9 +104,3 @@ class FixedSampling:
     def costs_as_expected(self, coverage: float) -> bool:
         """Return True."""
         return True
-
-    def follow(self, setup: PingSetup, plan: Plan, total: float, coverage: float, n_pings: int) -> None:
-        """Do nothing: later pings have the samples that were given."""
-
-    def error_estimate(self, setup: PingSetup) -> None:
-        """Return None: there is no estimate."""
