@@ -308,8 +308,8 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
 
     Parameters
     ----------
-    tree, bodies, places, view, limits : tuples of PatchTree, BodyBoxes, BodyPlaces, SectorGeometry and
-        DetailLimits
+    tree, bodies, places, view, limits : PatchTree, BodyBoxes, BodyPlaces, SectorGeometry and DetailLimits, as plain
+        tuples
     chosen : (M, 2) int32, patch and body; overwritten
 
     Returns

@@ -21,18 +21,10 @@ from sonar_gl.raster.cull import (
     PatchTree,
     body_spans,
     choose_in_sectors,
-    choose_patches,
     place_bodies,
 )
 from sonar_gl.raster.level_of_detail import EXTREMES, Levels, mesh_with_levels
-from sonar_gl.raster.views import (
-    BodiesInView,
-    PatchesInView,
-    SectorView,
-    SectorViews,
-    Window,
-    distance_before_plane,
-)
+from sonar_gl.raster.views import BodiesInView, SectorViews, distance_before_plane
 from sonar_gl.scene.scene import Body
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import NEAR_M, SURFACE_MARGIN_M
@@ -204,22 +196,12 @@ class SceneMeshes:
             matrices, rows, specular and self._has_lobes, present, outside, plane, is_cut, spans
         )
 
-    def choose(self, view: SectorView, bodies: BodiesInView, out: np.ndarray) -> PatchesInView:
-        """Choose what a sector draws of bodies; out : (most_patches, 2) int32, overwritten."""
-        if not len(self.bodies):
-            return PatchesInView(out[:0], 0, Window())
-        places = tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.rows, bodies.outside))
-        n, n_faces, *window = choose_patches(
-            self._tree, tuple(self.boxes), places, view.geometry, view.limits, out
-        )
-        return PatchesInView(out[:n], n_faces, Window(*window))
-
-    def choose_in_sectors(self, views: SectorViews, bodies: BodiesInView, out: np.ndarray) -> np.ndarray:
+    def choose(self, views: SectorViews, bodies: BodiesInView, out: np.ndarray) -> np.ndarray:
         """Choose what each of S sectors draws of bodies.
 
         Parameters
         ----------
-        out : (S, most_patches, 2) int32, overwritten
+        out : (S, most_patches or more, 2) int32, overwritten with patches and bodies
 
         Returns
         -------

@@ -37,11 +37,11 @@ class SectorView:
     Attributes
     ----------
     sector : Sector
-    geometry : tuple of SectorGeometry
+    geometry : SectorGeometry
     whole : Window of all its samples
     sample_rad : least width of a sample
     furthest : length of the longest of its rays up to x = 1
-    limits : tuple of DetailLimits
+    limits : DetailLimits
     """
 
     def __init__(self, sector: Sector, far_m: float, range_max_m: float):
@@ -54,35 +54,26 @@ class SectorView:
         self.sector, self.sample_rad = sector, min(u[1], v[2])
         self.furthest = max(math.hypot(1.0, *end) for end in zip(at_u, at_v, strict=True))
         self.whole = Window(0, 0, sector.columns, sector.rows)
-        self.geometry = tuple(
-            SectorGeometry(
-                rotation=sector.rotation(),
-                limits=np.array([min(at_u), max(at_u), min(at_v), max(at_v)]),
-                inverse=np.linalg.inv(sector.steps),
-                corner=np.array([u[0], v[0]]),
-                size=np.array([sector.columns, sector.rows], float),
-                u=u,
-                v=v,
-            )
+        self.geometry = SectorGeometry(
+            rotation=sector.rotation(),
+            limits=np.array([min(at_u), max(at_u), min(at_v), max(at_v)]),
+            inverse=np.linalg.inv(sector.steps),
+            corner=np.array([u[0], v[0]]),
+            size=np.array([sector.columns, sector.rows], float),
+            u=u,
+            v=v,
         )
-        self.limits = tuple(
-            DetailLimits(
-                near_m=NEAR_M,
-                far_m=float(far_m),  # a whole number would have the kernel compiled a second time
-                range_max_m=float(range_max_m),
-                error_per_m=ERROR_SAMPLES * self.sample_rad,
-                echo_error=ECHO_PER_RAD * self.sample_rad,
-            )
+        self.limits = DetailLimits(
+            near_m=NEAR_M,
+            far_m=float(far_m),
+            range_max_m=float(range_max_m),
+            error_per_m=ERROR_SAMPLES * self.sample_rad,
+            echo_error=ECHO_PER_RAD * self.sample_rad,
         )
-
-    @property
-    def inverse(self) -> np.ndarray:
-        """(2, 2) samples per (u, v)."""
-        return SectorGeometry(*self.geometry).inverse
 
 
 class SectorViews(NamedTuple):
-    """What SectorView holds of each sector, stacked: `geometry` and `limits`."""
+    """What SectorView holds of each sector, stacked, in plain tuples: `geometry` and `limits`."""
 
     geometry: tuple
     limits: tuple
@@ -128,19 +119,18 @@ class Window(NamedTuple):
     rows: int = 0
 
 
-class PatchesInView(NamedTuple):
-    """What a sector sees of the bodies.
+class PatchRoom:
+    """Room for the patches that sectors choose; it grows."""
 
-    Attributes
-    ----------
-    chosen : (K, 2) int32, patch and body; valid until the next choice into the same array
-    n_faces : how many faces these patches have
-    window : Window about their bodies
-    """
+    def __init__(self):
+        self._chosen = np.empty((0, 0, 2), np.int32)
 
-    chosen: np.ndarray
-    n_faces: int
-    window: Window
+    def take(self, n_sectors: int, most_patches: int) -> np.ndarray:
+        """Return room for so many patches, or more, of each sector: (n_sectors, n, 2) int32."""
+        n, most = self._chosen.shape[:2]
+        if n < n_sectors or most < most_patches:
+            self._chosen = np.empty((max(n, n_sectors), max(most, most_patches), 2), np.int32)
+        return self._chosen[:n_sectors]
 
 
 class RenderWorkspace:

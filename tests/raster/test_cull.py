@@ -15,9 +15,9 @@ import sonar_gl as sg
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster import scene_meshes
 from sonar_gl.raster import views as raster_views
-from sonar_gl.raster.cull import BEYOND, SectorGeometry
+from sonar_gl.raster.cull import BEYOND
 from sonar_gl.raster.opengl import buffers
-from sonar_gl.raster.views import SectorView
+from sonar_gl.raster.views import SectorView, stacked
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.fan import FAR_FACTOR
 from tests.support.worlds import random_rotation, terrain
@@ -58,10 +58,10 @@ def meshes_of(bodies):
 def choose(some, pose, view):
     """Return the list of (patch, body) that a sector draws of some meshes, and the placed bodies."""
     placed = some.view_from(pose)
-    room = np.empty((some.most_patches, 2), np.int32)
-    found = some.choose(view, placed, room)
-    assert found.n_faces == some.levels["n_faces"][found.chosen[:, 0]].sum()
-    return [tuple(row) for row in found.chosen.tolist()], placed
+    room = np.empty((1, some.most_patches, 2), np.int32)
+    ((n, n_faces, *_),) = some.choose(stacked([view]), placed, room)
+    assert n_faces == some.levels["n_faces"][room[0, :n, 0]].sum()
+    return [tuple(row) for row in room[0, :n].tolist()], placed
 
 
 def corners_in(view, some, placed, patch, body):
@@ -72,7 +72,7 @@ def corners_in(view, some, placed, patch, body):
     m = placed.matrices[body]
     # without software rasterization the meshes leave their vertices to the driver; `keep_points` keeps a copy
     points = some.all_points[used]
-    return (points @ m[:, :3].T + m[:, 3]) @ SectorGeometry(*view.geometry).rotation.T
+    return (points @ m[:, :3].T + m[:, 3]) @ view.geometry.rotation.T
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def any_inside(corners, view):
     ahead = x > scene_meshes.NEAR_M
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = -y / x, z / x
-    low_u, high_u, low_v, high_v = SectorGeometry(*view.geometry).limits
+    low_u, high_u, low_v, high_v = view.geometry.limits
     inside = ahead & (u > low_u) & (u < high_u) & (v > low_v) & (v < high_v)
     return (inside & (np.sqrt(x * x + y * y + z * z) < FAR_M)).any()
 
@@ -134,7 +134,7 @@ def test_visible_leaves_are_drawn_and_others_culled(views, keep_points, monkeypa
                         wasted += not in_view
                         # its box reaches into the view: none lies beyond one side of the view
                         x, y, z = corners.reshape(-1, 3).T
-                        low_u, high_u, low_v, high_v = SectorGeometry(*view.geometry).limits
+                        low_u, high_u, low_v, high_v = view.geometry.limits
                         side = np.linalg.norm(2 * some.levels["box"][patch, 3:])
                         outside = (x, high_u * x + y, -y - low_u * x, high_v * x - z, z - low_v * x)
                         assert all(away.max() > -2 * side for away in outside)

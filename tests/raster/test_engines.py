@@ -15,7 +15,6 @@ from sonar_gl.raster import cull
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu import engine as cpu
 from sonar_gl.raster.cpu.kernels import tables
-from sonar_gl.raster.cull import SectorGeometry
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import SectorView
 from sonar_gl.scene import primitives
@@ -56,7 +55,7 @@ def draw_sectors(scene, sonar, pose, engine, sampling=SAMPLING):
 
 def project_vertices(scene, pose, sector):
     """Yield the vertices of each body as (V, 3) column times x, row times x, and x, with x ahead of the sector."""
-    view = SectorGeometry(*SectorView(sector, 1e3, 1e3).geometry)
+    view = SectorView(sector, 1e3, 1e3).geometry
     for body in scene.bodies:
         m = np.linalg.inv(pose)
         m = np.column_stack([m[:3, :3] @ body.pose[:3, :3], m[:3, :3] @ (body.pose[:3, 3] - pose[:3, 3])])

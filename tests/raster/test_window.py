@@ -8,7 +8,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.raster.scene_meshes import SceneMeshes
-from sonar_gl.raster.views import SectorView
+from sonar_gl.raster.views import SectorView, stacked
 from tests.support.worlds import random_world
 
 
@@ -79,9 +79,10 @@ def test_the_window_has_every_ray_that_hits_a_box():
         meshes.add([sg.Body("box", box, pose)])
         for sector in sectors:
             bodies = meshes.view_from(np.eye(4))
-            room = np.empty((meshes.most_patches, 2), np.int32)
-            found = meshes.choose(SectorView(sector, 1e3, 1e3), bodies, room)
-            i, j, columns, rows = found.window
+            room = np.empty((1, meshes.most_patches, 2), np.int32)
+            ((*_, i, j, columns, rows),) = meshes.choose(
+                stacked([SectorView(sector, 1e3, 1e3)]), bodies, room
+            )
             u, v = sector.sample_coordinates()
             d = np.stack([np.ones_like(u), -u, v], axis=-1) @ sector.rotation() @ pose[:3, :3]
             origin = -pose[:3, 3] @ pose[:3, :3]

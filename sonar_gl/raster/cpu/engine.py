@@ -22,6 +22,7 @@ from sonar_gl.raster.views import (
     NO_PLANE,
     NO_SAMPLES,
     BodiesInView,
+    PatchRoom,
     RenderWorkspace,
     SectorLayout,
     SectorView,
@@ -102,12 +103,12 @@ class _Image:
 
 
 class _HalfWorkspace:
-    """What one thread draws into: a visibility buffer and its triangles."""
+    """What one thread draws into: a visibility buffer, its triangles, and room for chosen patches."""
 
     def __init__(self):
         self._buffer = ReusedArray(np.float32), ReusedArray(np.int32)
         self._triangles = ReusedArray(np.float32, 4), ReusedArray(np.int32, 3), ReusedArray(float, 9)
-        self._chosen = np.empty((0, 0, 2), np.int32)
+        self.chosen = PatchRoom()
 
     def buffer(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return room for a visibility buffer of so many samples: depth and triangle, flat."""
@@ -118,13 +119,6 @@ class _HalfWorkspace:
         """Return room for so many triangles."""
         planes, bodies, normals = self._triangles
         return Triangles(planes.take(count), bodies.take(count), normals.take(count * has_normals))
-
-    def chosen(self, n_sectors: int, most_patches: int) -> np.ndarray:
-        """Return room for the chosen patches of so many sectors, (n_sectors, n, 2) int32."""
-        n, most = self._chosen.shape[:2]
-        if n < n_sectors or most < most_patches:
-            self._chosen = np.empty((max(n, n_sectors), max(most, most_patches), 2), np.int32)
-        return self._chosen[:n_sectors]
 
     def drop_large(self) -> None:
         for one in (*self._buffer, *self._triangles):
@@ -224,8 +218,8 @@ class CpuRenderer:
         Of the lobes, the samples have the window that `SectorSamples.with_echo` finds.
         """
         meshes, workspace = self._engine.meshes, self._workspace
-        chosen = workspace.halves[half or 0].chosen(len(self._sectors), meshes.most_patches)
-        found = meshes.choose_in_sectors(self._stacked, bodies, chosen)
+        chosen = workspace.halves[half or 0].chosen.take(len(self._sectors), meshes.most_patches)
+        found = meshes.choose(self._stacked, bodies, chosen)
         if full:
             found[:, 2:] = [view.whole for view in self._sectors]
         rows = found.tolist()
@@ -280,7 +274,7 @@ class CpuRenderer:
         Parameters
         ----------
         placed : tuple of PlacedBodies
-        chosen, found : of `choose_in_sectors`
+        chosen, found : of `SceneMeshes.choose`
         most : faces, and samples, of a sector
         samples, lobes : as for `shade`
         """

@@ -22,10 +22,12 @@ from sonar_gl.raster.views import (
     NO_PLANE,
     NO_SAMPLES,
     BodiesInView,
+    PatchRoom,
     RenderWorkspace,
     SectorLayout,
     SectorView,
     Window,
+    stacked,
 )
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M, Fan
 from sonar_gl.sonar.samples import NO_BODIES, ViewSamples
@@ -192,7 +194,7 @@ class RenderTarget:
 
 
 class OpenGLWorkspace(RenderWorkspace):
-    """Render targets, the list of draws, and chosen patches.
+    """Render targets, the list of draws, and room for chosen patches.
 
     Parameters
     ----------
@@ -201,20 +203,14 @@ class OpenGLWorkspace(RenderWorkspace):
 
     Attributes
     ----------
-    draw_list : DrawList
+    draw_list, chosen : DrawList and PatchRoom
     """
 
     def __init__(self, context: moderngl.Context, most_samples: int):
         # graphics cards copy samples while the next are drawn
         asynchronous = not is_software(context.info["GL_RENDERER"])
         super().__init__(most_samples, lambda: RenderTarget(asynchronous))
-        self.draw_list, self._chosen = DrawList(), np.empty((0, 2), np.int32)
-
-    def chosen(self, most_patches: int) -> np.ndarray:
-        """Return room for so many chosen patches, (n, 2) int32."""
-        if len(self._chosen) < most_patches:
-            self._chosen = np.empty((most_patches, 2), np.int32)
-        return self._chosen
+        self.draw_list, self.chosen = DrawList(), PatchRoom()
 
 
 class OpenGLRenderer:
@@ -248,7 +244,7 @@ class OpenGLRenderer:
         self._limit = side_limit(context)
         self._check_size(max(s.columns for s in fan.sectors), max(s.rows for s in fan.sectors))
         self._sectors = [SectorView(sector, self._far_m, fan.sonar.range_max_m) for sector in fan.sectors]
-        self._layout = SectorLayout(self._sectors)
+        self._layout, self._stacked = SectorLayout(self._sectors), stacked(self._sectors)
         self._uniforms, self._workspace = {}, workspace
         # the far plane lies across the middle of a sector, and so is further away in its corners
         furthest = max((view.furthest for view in self._sectors), default=1.0)
@@ -295,18 +291,17 @@ class OpenGLRenderer:
     def _lay_out(self, number: int, bodies: BodiesInView, full: bool) -> list[SectorDraws]:
         """Find what each sector draws of the bodies of one pose."""
         meshes, out, draws = self._buffers.meshes, self._workspace.draw_list, []
-        pairs = self._workspace.chosen(meshes.most_patches)
-        for view in self._sectors:
-            chosen, _, window = meshes.choose(view, bodies, pairs)
-            if full:
-                window = view.whole
+        chosen = self._workspace.chosen.take(len(self._sectors), meshes.most_patches)
+        found = meshes.choose(self._stacked, bodies, chosen)
+        for view, patches, (n, _, *window) in zip(self._sectors, chosen, found.tolist(), strict=True):
             first, n_closed = out.used, 0
-            if len(chosen):
+            if n:
                 faces = meshes.levels["first_face"], meshes.levels["n_faces"]
                 row = number * len(meshes.bodies)
-                n_closed = draw_patches(chosen, *faces, meshes.boxes.closed, row, out.reserve(len(chosen)))
-                out.used += len(chosen)
-            draws.append(SectorDraws(first, n_closed if bodies.outside else 0, len(chosen), window))
+                n_closed = draw_patches(patches[:n], *faces, meshes.boxes.closed, row, out.reserve(n))
+                out.used += n
+            window = view.whole if full else Window(*window)
+            draws.append(SectorDraws(first, n_closed if bodies.outside else 0, n, window))
         return draws
 
     def _draw(self, target: RenderTarget, rows, draws: list[SectorDraws], bodies: BodiesInView) -> None:
@@ -364,7 +359,7 @@ class OpenGLRenderer:
             values = {
                 "clip_from_sonar": clip.T,
                 "sector_from_sonar": sector.rotation().T,
-                "pixel_from_uv": view.inverse.T,
+                "pixel_from_uv": view.geometry.inverse.T,
                 "far_m": self._far_m,
             }
             self._uniforms[key] = [
