@@ -40,7 +40,6 @@ from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import BIN_LABELS, Ping
 from sonar_gl.raster.level_of_detail import MIN_FACES_TO_SIMPLIFY, make_levels
-from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.primitives import terrain
 from sonar_gl.scene.scene import Body, Scene
@@ -196,9 +195,6 @@ def _work_without_opengl():
     n = math.isqrt(MIN_FACES_TO_SIMPLIFY // 2) + 2
     floor = terrain(np.zeros((n, n)), (1.0, 1.0)).mesh
     make_levels(floor.vertices, floor.faces)
-    # draws of OpenGL, which the engine `cpu` does without, and a simulator in a host's context does not
-    one = np.zeros(1, np.int64)
-    draw_patches(np.zeros((1, 2), np.int32), one, one, one, 0, DrawList().reserve(1))
     if find_spec("embreex"):
         reference_ping(_scene(), SONAR, POSE, Acoustics.ideal(), 0.5, 1_000_000)
 

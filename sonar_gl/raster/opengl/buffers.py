@@ -12,7 +12,6 @@ from sonar_gl.core.data_files import data_folder
 from sonar_gl.gl.context import is_software
 from sonar_gl.gl.memory import check_driver
 from sonar_gl.gl.shaders import compile_program
-from sonar_gl.raster.opengl.draw_list import DrawList
 from sonar_gl.raster.opengl.sheets import Sheet, sheet_of
 from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.scene.scene import Scene
@@ -83,6 +82,19 @@ def collapse_lines(faces: np.ndarray, first: int, points: np.ndarray) -> None:
         double_area = np.linalg.norm(np.cross(edges[0], edges[2]), axis=1)
         is_line = double_area <= lowest * longest
         part[is_line] = part[is_line, :1]
+
+
+def draws_of(patches: np.ndarray, meshes: SceneMeshes, row: int) -> np.ndarray:
+    """Return patches as draws: (n, 5) uint32 of indices, instances, first index, first vertex, body's row.
+
+    patches : (n, 2) patch and body
+    row : of the first body
+    """
+    patch, body = patches.T
+    draws = np.zeros((len(patches), 5), np.uint32)
+    draws[:, 0], draws[:, 1] = 3 * meshes.levels["n_faces"][patch], 1
+    draws[:, 2], draws[:, 4] = 3 * meshes.levels["first_face"][patch], row + body
+    return draws
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,20 +205,20 @@ class SceneBuffers:
             self._arrays[with_bodies, lobes] = array
         return self._arrays[with_bodies, lobes]
 
-    def upload(self, rows, out: DrawList) -> None:
-        """Upload the bodies' rows and the draw list."""
+    def upload(self, rows, draws: np.ndarray) -> None:
+        """Upload the bodies' rows, and draws of `draws_of`."""
         self._rows.overwrite(rows)
-        self._draws.overwrite(out.filled())
+        self._draws.overwrite(draws)
 
-    def draw(self, array, flags: int, rows, out: DrawList, first: int, n: int) -> None:
-        """Draw `n` entries of the list from `first` on, in one call where the driver has indirect draws."""
+    def draw(self, array, flags: int, rows, draws: np.ndarray, first: int, n: int) -> None:
+        """Draw `n` of these draws from `first` on, in one call where the driver has indirect draws."""
         if n == 0:
             return
         self.context.enable_only(flags)
         if self.indirect:
             array.render_indirect(self._draws.buffer, count=n, first=first)
             return
-        for count, _, index, _, row in out.filled()[first : first + n].tolist():
+        for count, _, index, _, row in draws[first : first + n].tolist():
             values = rows[row]
             for k, name in enumerate(("body_x", "body_y", "body_z")):
                 array.program[name].write(values[4 * k : 4 * k + 4])

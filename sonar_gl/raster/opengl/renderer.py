@@ -15,8 +15,7 @@ from sonar_gl.gl import egl
 from sonar_gl.gl.context import is_software
 from sonar_gl.gl.enums import CLIP_DISTANCE0
 from sonar_gl.gl.memory import check_driver, check_room, side_limit
-from sonar_gl.raster.opengl.buffers import SceneBuffers
-from sonar_gl.raster.opengl.draw_list import DrawList, draw_patches
+from sonar_gl.raster.opengl.buffers import SceneBuffers, draws_of
 from sonar_gl.raster.opengl.sheets import FURTHEST, MARGIN, draw_near
 from sonar_gl.raster.views import (
     NO_PLANE,
@@ -53,7 +52,7 @@ class SectorDraws(NamedTuple):
 
     Attributes
     ----------
-    first, n_closed, n : its draws in the list; the first of them are of closed bodies
+    first, n_closed, n : its draws among those of all poses; the first of them are of closed bodies
     window : Window
     """
 
@@ -194,7 +193,7 @@ class RenderTarget:
 
 
 class OpenGLWorkspace(RenderWorkspace):
-    """Render targets, the list of draws, and room for chosen patches.
+    """Render targets, and room for chosen patches.
 
     Parameters
     ----------
@@ -203,14 +202,14 @@ class OpenGLWorkspace(RenderWorkspace):
 
     Attributes
     ----------
-    draw_list, chosen : DrawList and PatchRoom
+    chosen : PatchRoom
     """
 
     def __init__(self, context: moderngl.Context, most_samples: int):
         # graphics cards copy samples while the next are drawn
         asynchronous = not is_software(context.info["GL_RENDERER"])
         super().__init__(most_samples, lambda: RenderTarget(asynchronous))
-        self.draw_list, self.chosen = DrawList(), PatchRoom()
+        self.chosen = PatchRoom()
 
 
 class OpenGLRenderer:
@@ -260,51 +259,52 @@ class OpenGLRenderer:
         keep_last: bool = False,
     ) -> list[ViewSamples]:
         """Draw all sectors as seen from some poses, and read them back; see `raster.engine.Renderer.render`."""
-        planes, meshes, out = planes or [None] * len(poses), self._buffers.meshes, self._workspace.draw_list
+        planes, meshes = planes or [None] * len(poses), self._buffers.meshes
         bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
         for number, sheet in self._buffers.uploaded.sheets.items():
             for one in bodies:
                 draw_near(sheet, one.matrices[number], self._reach_m, one.rows[number])
         rows = bodies[0].rows if len(bodies) == 1 else np.concatenate([one.rows for one in bodies])
         targets = self._workspace.images(len(bodies), keep_last)
-        out.clear()
-        draws = [self._lay_out(number, one, full) for number, one in enumerate(bodies)]
-        for target, sectors in zip(targets, draws, strict=True):
+        listed = [np.empty((0, 5), np.uint32)]
+        laid_out = [self._lay_out(number, one, full, listed) for number, one in enumerate(bodies)]
+        draws = np.concatenate(listed)
+        for target, sectors in zip(targets, laid_out, strict=True):
             target.width = sum(d.window.columns for d in sectors)
             target.height = max(d.window.rows for d in sectors)
             target.has_bodies = with_bodies
         width, height = (max(getattr(one, side) for one in targets) for side in ("width", "height"))
         self._check_size(width, height)
         self._workspace.check_samples(width, height)
-        if out.used:
-            self._buffers.upload(rows, out)
-        for target, sectors, one in zip(targets, draws, bodies, strict=True):
+        if len(draws):
+            self._buffers.upload(rows, draws)
+        for target, sectors, one in zip(targets, laid_out, bodies, strict=True):
             if target.width:
                 target.allocate(self._context, self._limit)
-                self._draw(target, rows, sectors, one)
+                self._draw(target, rows, draws, sectors, one)
                 target.begin_read()
         # while one is read the driver's threads may fill the next
-        views = [self._read(*one) for one in zip(targets, draws, bodies, strict=True)]
+        views = [self._read(*one) for one in zip(targets, laid_out, bodies, strict=True)]
         check_driver(self._context)
         return views
 
-    def _lay_out(self, number: int, bodies: BodiesInView, full: bool) -> list[SectorDraws]:
-        """Find what each sector draws of the bodies of one pose."""
-        meshes, out, draws = self._buffers.meshes, self._workspace.draw_list, []
+    def _lay_out(self, number: int, bodies: BodiesInView, full: bool, listed: list) -> list[SectorDraws]:
+        """Find what each sector draws of the bodies of one pose, and append the draws to a list."""
+        meshes, out = self._buffers.meshes, []
         chosen = self._workspace.chosen.take(len(self._sectors), meshes.most_patches)
         found = meshes.choose(self._stacked, bodies, chosen)
         for view, patches, (n, _, *window) in zip(self._sectors, chosen, found.tolist(), strict=True):
-            first, n_closed = out.used, 0
+            first, n_closed = sum(map(len, listed)), 0
             if n:
-                faces = meshes.levels["first_face"], meshes.levels["n_faces"]
-                row = number * len(meshes.bodies)
-                n_closed = draw_patches(patches[:n], *faces, meshes.boxes.closed, row, out.reserve(n))
-                out.used += n
-            window = view.whole if full else Window(*window)
-            draws.append(SectorDraws(first, n_closed if bodies.outside else 0, n, window))
-        return draws
+                listed.append(draws_of(patches[:n], meshes, number * len(meshes.bodies)))
+                if bodies.outside:
+                    n_closed = np.count_nonzero(meshes.boxes.closed[patches[:n, 1]])
+            out.append(SectorDraws(first, n_closed, n, view.whole if full else Window(*window)))
+        return out
 
-    def _draw(self, target: RenderTarget, rows, draws: list[SectorDraws], bodies: BodiesInView) -> None:
+    def _draw(
+        self, target: RenderTarget, rows, draws: np.ndarray, sectors: list[SectorDraws], bodies: BodiesInView
+    ) -> None:
         framebuffer = target.clear()
         array = self._buffers.array(target.has_bodies, bodies.has_lobes)
         array.program["before"].write(
@@ -312,7 +312,7 @@ class OpenGLRenderer:
         )
         self._context.enable_direct(CLIP_DISTANCE0)
         left = 0
-        for view, (first, n_closed, n, window) in zip(self._sectors, draws, strict=True):
+        for view, (first, n_closed, n, window) in zip(self._sectors, sectors, strict=True):
             if n:
                 sector, (i, j, columns, n_rows) = view.sector, window
                 side, end = self._border_of(sector)
@@ -325,9 +325,8 @@ class OpenGLRenderer:
                     u = getattr(sector, name)
                     array.program[name] = (u[0] + u[1] * (i - left) + u[2] * j, u[1], u[2])
                 one_sided, two_sided = moderngl.DEPTH_TEST | moderngl.CULL_FACE, moderngl.DEPTH_TEST
-                out = self._workspace.draw_list
-                self._buffers.draw(array, one_sided, rows, out, first, n_closed)
-                self._buffers.draw(array, two_sided, rows, out, first + n_closed, n - n_closed)
+                self._buffers.draw(array, one_sided, rows, draws, first, n_closed)
+                self._buffers.draw(array, two_sided, rows, draws, first + n_closed, n - n_closed)
             left += window.columns
         framebuffer.scissor = None
         self._context.disable_direct(CLIP_DISTANCE0)
