@@ -319,11 +319,7 @@ def _convolve(rows, before, weights, out):
 
 
 def convolve(
-    rows: np.ndarray,
-    weights: np.ndarray,
-    before: int = 0,
-    after: int = 0,
-    thread: SecondThread | None = None,
+    rows: np.ndarray, weights: np.ndarray, before: int = 0, after: int = 0, thread: SecondThread | None = None
 ) -> np.ndarray:
     """Return rows convolved with weights, without the ends.
 

@@ -27,8 +27,6 @@ CONES = 513  # at which the integral around a cone is taken; it changes slowly f
 class BeamSolidAngles(NamedTuple):
     """The solid angles of a beam.
 
-    Attributes
-    ----------
     receive_sr : of the receive pattern, one way, over the whole sphere: noise comes from all around
     echo_sr : of the receive pattern in azimuth and the two-way pattern in elevation, over the columns of the fan:
         intensities are normalised by it. A transmit beam in azimuth does not count

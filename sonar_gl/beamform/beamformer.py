@@ -49,8 +49,6 @@ HALF_POWER_TWO_WAY = 0.25
 class BeamEcho:
     """The echo in beams and bins.
 
-    Attributes
-    ----------
     intensity : (B, K) float32, linear
     total : its sum
     """
@@ -70,8 +68,6 @@ class BeamEcho:
 class _ImageOfSectors(NamedTuple):
     """Samples of some sectors, side by side.
 
-    Attributes
-    ----------
     arrays : image, spans of bodies and sectors, as `kernels.column_sums.sum_footprints` takes them
     sectors : numbers of the sectors, and one past the last
     """
@@ -83,8 +79,6 @@ class _ImageOfSectors(NamedTuple):
 class ShadowedBackground(NamedTuple):
     """The bodies on whose echo others cast shadows.
 
-    Attributes
-    ----------
     is_background : (n_bodies + 1,) bool by number
     view : ViewSamples of these bodies alone
     """
@@ -97,8 +91,6 @@ class ShadowedBackground(NamedTuple):
 class ImageSourceView:
     """What the sonar, or its image behind a planar reflector, sees, to be summed as multipath echoes.
 
-    Attributes
-    ----------
     samples : of each sector
     reflections : Reflection of each sector
     strips : of each half of the columns, StripTable of each sector
@@ -121,8 +113,6 @@ def make_beamformer(
 ) -> Beamformer:
     """Return the beamformer of a sonar with this sampling.
 
-    Parameters
-    ----------
     thread, workspace : of `Beamformer`
     shear, widths : of `make_fan`
     side_lobes : whether the fan has sectors for the side lobes of the elevation pattern
@@ -166,8 +156,6 @@ def beam_shape(sonar: Sonar, acoustics: Acoustics, side_lobes: bool = True) -> B
 class _Design(NamedTuple):
     """What a sonar with its acoustics asks of all fans and beamformers.
 
-    Attributes
-    ----------
     sonar : of `Acoustics.true_range_sonar`
     beams : of `beam_shape`
     pattern, transmit_pattern, elevation_pattern : of `beam_weights`
@@ -201,6 +189,8 @@ class Beamformer:
     The columns are divided into two halves at a fixed border. Each half is summed by one thread, so that the sums do
     not depend on which thread is faster; both by the same one if there is little work.
 
+    Raises SampleLimitError if a sector has more rows than the kernels have room for.
+
     Parameters
     ----------
     fan, weights : Fan and BeamWeights
@@ -209,11 +199,6 @@ class Beamformer:
     thread : for the second half; None does both halves in the caller's thread
     is_box : beams are boxes, which end where columns end
     workspace : arrays that every ping uses again, to share with other beamformers; None for its own
-
-    Raises
-    ------
-    SampleLimitError
-        if a sector has more rows than the kernels have room for.
 
     Attributes
     ----------
@@ -420,8 +405,6 @@ class Beamformer:
     ) -> BeamEcho:
         """Return the multipath echoes of several views, added up.
 
-        Parameters
-        ----------
         images : views of the sonar's images, with `mirrored_strips`
         own : views of the sonar itself, one for each image; a view is summed only if the samples of its image return
             an echo by the reflector
@@ -485,8 +468,6 @@ class Beamformer:
     ) -> Labels:
         """Return the labels of the view that `sum_bodies` summed last, with shares of the direct echo.
 
-        Parameters
-        ----------
         bodies : as `sum_bodies` returned them
         gain : (K,) float32, as given to `sum_bodies`
         n_bodies : the highest number of a body

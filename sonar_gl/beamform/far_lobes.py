@@ -69,8 +69,6 @@ def _one_thread():
 class LobeBlocks:
     """The far side lobes of a sonar's beams, whatever its columns are.
 
-    Attributes
-    ----------
     pattern : FarPattern
     edges : (J + 1,) coordinates of `FarPattern.coordinate` between which the blocks lie, evenly
     nodes : (N,) coordinates from the edge of a block on
@@ -115,8 +113,6 @@ def _expand(expansion, first_moment, coupling) -> np.ndarray:
 class FarLobes:
     """The far side lobes of beams over some columns.
 
-    Attributes
-    ----------
     near : BeamTiles of the support: the pattern less what the far side lobes hold there
     condense, couple : BeamTiles of Uᵀ and M
     first_moment, expansion : (B,) int64 and (B, rank) float32, V over the solid angle of each beam
@@ -161,8 +157,6 @@ def make_lobe_blocks(pattern: FarPattern, axes_rad, ends_rad) -> LobeBlocks | No
 
     Simulators of one sonar share them.
 
-    Parameters
-    ----------
     axes_rad : (B,) of the beams
     ends_rad : first and last azimuth of the columns
     """
@@ -206,8 +200,6 @@ def _cheapest_blocks(pattern: FarPattern, axes_rad: tuple, ends_rad: tuple) -> L
 class NodeTable(NamedTuple):
     """The far pattern at the differences of two nodes, −N..N times their spacing.
 
-    Attributes
-    ----------
     pattern : FarPattern
     span : width of the fan, of coordinates
     power : (2 N + 1,)
@@ -250,8 +242,6 @@ def _node_table(pattern: FarPattern, span: float) -> NodeTable:
 class Fit(NamedTuple):
     """Functions of a block, and what they describe.
 
-    Attributes
-    ----------
     functions : (N, rank) at its nodes
     coupling : (J, rank, rank) of blocks 0, 1, ... apart, the beam's function first
     error : the largest, as TOLERANCE
@@ -324,8 +314,6 @@ def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_
     Beams are normalised by the solid angle of all that they receive from the columns: a sphere about the sonar has the
     level 1 in each.
 
-    Parameters
-    ----------
     near : of `beam_weights`, of whole columns
     transmit_pattern : of `beam_weights`
     """
@@ -336,8 +324,6 @@ def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_
 class _Shares(NamedTuple):
     """What far side lobes receive of columns.
 
-    Attributes
-    ----------
     block : (C, 8) of nodes of the columns, rising
     means : (J, C, rank) of the functions of each block over columns
     per_block, by_moment : (B, M) and (M, C) float32, whose product is what each beam receives, 1 on its axis
@@ -403,8 +389,6 @@ def _in_support(per_block, by_moment, near: BeamWeights, block, rank: int) -> np
 
     Some beams at a time, which share columns and few blocks of them: all beams by all columns are ten times as many.
 
-    Parameters
-    ----------
     per_block, by_moment, block : as of _Shares
     """
     (B, W), n_columns = near.weights.shape, len(block)
@@ -437,8 +421,6 @@ def _column_response(
 def _condensing_tiles(means, block) -> BeamTiles:
     """Return tiles that sum columns into the moments of blocks.
 
-    Parameters
-    ----------
     means : (J, C, rank) of the functions over columns
     block : (C, n) of nodes of the columns, rising
     """

@@ -55,8 +55,6 @@ class Labels:
 class BodySums(NamedTuple):
     """The echo of each body in columns and bins; valid until bodies are summed again in the same workspace.
 
-    Attributes
-    ----------
     runs : plain tuple of Runs
     body_bins : of `bins_of_bodies`
     direct : (B, K) float32, all direct echo with the gain, in an array that is overwritten later; empty if the runs
@@ -76,8 +74,6 @@ def bins_of_bodies(body_spans: np.ndarray, bin_edges_m: np.ndarray) -> np.ndarra
     Half a sample beyond the edge of a face that is seen nearly edge-on, its plane lies before or behind the body. Such
     echo is faint, but it would be labelled.
 
-    Parameters
-    ----------
     body_spans : of `ViewSamples`; of no length where a host does not tell where its bodies are, as is then the result
     bin_edges_m : (K + 1,) evenly spaced
 
@@ -94,8 +90,6 @@ def bins_of_bodies(body_spans: np.ndarray, bin_edges_m: np.ndarray) -> np.ndarra
 def without_weaker(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Labels:
     """Return the labels of bins whose strongest body is at least as strong as an echo without body; others have none.
 
-    Parameters
-    ----------
     labels : with shares of the direct echo; its arrays are overwritten
     direct : (B, K) float32, direct echo before the matched filter
     other : (B, K) float32, the echo without body, likewise
@@ -107,8 +101,6 @@ def without_weaker(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Lab
 def of_all_echo(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Labels:
     """Return labels with shares of all echo, for those of the direct echo.
 
-    Parameters
-    ----------
     labels : its shares are overwritten
     direct : (B, K) float32, direct echo before the matched filter
     other : (B, K) float32, all other echo, likewise
@@ -124,8 +116,6 @@ def without_faint(labels: Labels, intensity: np.ndarray, least: float) -> Labels
     Shadows and sums of bodies stay. A body has its share of the bin's echo: the far side lobes and the multipath of
     others, which lie over it, do not make it visible.
 
-    Parameters
-    ----------
     labels : with shares of all echo; its arrays are overwritten
     intensity : (B, K) float32, mean echo of the ping
     least : intensity from which on bins are labelled
@@ -175,8 +165,6 @@ def _clear_bins(echo, least, body_id, share, elevation_rad, incidence_rad, true_
 class LabelColumns(NamedTuple):
     """Neighbouring columns joined, in which the echoes of bodies are summed: these need not be as narrow.
 
-    Attributes
-    ----------
     of_columns : (columns + W,) int64, the joined column of each of the fan's columns, then of its wide ones, which
         follow the joined columns
     count : number of joined columns
@@ -197,8 +185,6 @@ class LabelColumns(NamedTuple):
 def label_columns(fan: Fan, weights: BeamWeights, is_box: bool, response: np.ndarray) -> LabelColumns:
     """Join columns where COLUMNS_PER_BEAM remain and all beams together receive them alike.
 
-    Parameters
-    ----------
     is_box : beams are boxes, whose ends would lie within joined columns
     response : (columns,) `column_response` of the far lobes, or of the weights where there are none
     """
@@ -240,8 +226,6 @@ def label_columns(fan: Fan, weights: BeamWeights, is_box: bool, response: np.nda
 class Labeller:
     """Finds labels.
 
-    Parameters
-    ----------
     columns : LabelColumns
     spreading : bins, spread and elevation_pattern of `sum_bodies`
     parts : which of the tiles of beams each half does
@@ -257,17 +241,10 @@ class Labeller:
         self._means = pools.pool((3, *shape))
 
     def sum_up(
-        self,
-        view: ViewSamples,
-        strips,
-        run: Callable,
-        columns: ColumnSums,
-        clear: Callable[[int], None],
+        self, view: ViewSamples, strips, run: Callable, columns: ColumnSums, clear: Callable[[int], None]
     ) -> tuple:
         """Return the sums of each body, a plain tuple of Runs, which stay as they are until the next call.
 
-        Parameters
-        ----------
         view : whose samples hold the numbers of bodies
         strips : of each half of the columns, StripTable of each sector as plain tuples
         run : function (work) that does work(0) and work(1)
@@ -324,8 +301,6 @@ class Labeller:
     ) -> Labels:
         """Return the labels of a ping.
 
-        Parameters
-        ----------
         bodies : BodySums, whose runs `sum_up` returned
         run : as there
         gain : (K,) float32

@@ -36,8 +36,6 @@ def sum_surface(
 ) -> BeamEcho:
     """Return the echo of the water's surface in beams and bins, mean of its speckle.
 
-    Parameters
-    ----------
     beamformer : Beamformer
     samples : of each sector; their bodies hide the surface
     gain : (K,) float32, range gain
@@ -94,8 +92,6 @@ def _over_bin_mean(
     The next bin may return many times as much: over the mean of the bin of their rays alone, samples that cover parts
     of both would return too much.
 
-    Parameters
-    ----------
     inverse_m, half_length : (n,) 1 over range, and half of what a sample covers of it
     edges_m, law : (K + 1,) edges of bins, and (K,) means in bins
     """
@@ -136,8 +132,6 @@ def _surface_alone(
 ) -> SectorSamples:
     """Return samples of the surface alone, where no body is nearer; their echo is that by Lambert's law.
 
-    Parameters
-    ----------
     steep_m : between these ranges samples have a factor of their own
     over_bin_mean : function (inverse_m, half_length) -> that factor
     is_spread : samples are spread over their footprints; else each is added to one bin

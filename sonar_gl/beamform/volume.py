@@ -31,8 +31,6 @@ def sum_volume(
     In beam b and bin k it is π s_v Δr G_k times the share of the beam, by its two-way pattern, in which no surface lies
     nearer than the bin. Half of what surfaces in the bin itself cover is taken as open.
 
-    Parameters
-    ----------
     beamformer : Beamformer
     samples : of each sector; their surfaces end the water
     gain : (K,) float32, range gain

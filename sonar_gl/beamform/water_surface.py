@@ -14,8 +14,6 @@ from sonar_gl.sonar.sector import Sector
 class WaterSurface(NamedTuple):
     """The water's surface in the sonar's frame.
 
-    Attributes
-    ----------
     up : (3,) unit vector, upright
     height_m : of the surface over the sonar, metres, above 0
     """
@@ -27,8 +25,6 @@ class WaterSurface(NamedTuple):
 def water_surface(pose: np.ndarray, surface_z_m: float | None) -> WaterSurface | None:
     """Return the surface over a sonar in the water; None if there is none, or the sonar is above it.
 
-    Parameters
-    ----------
     pose : (4, 4) world_from_sonar
     surface_z_m : height of the surface in the world, metres, or None
     """
@@ -40,8 +36,6 @@ def water_surface(pose: np.ndarray, surface_z_m: float | None) -> WaterSurface |
 class SurfaceOnRays(NamedTuple):
     """The water's surface on the rays of samples.
 
-    Attributes
-    ----------
     depth_inverse : (R, C) float64, 1/x where a ray meets the surface; 0 or less where it does not
     slopes : of it along u and v, the same everywhere
     is_nearest : (R, C) bool, whether the surface is nearer than any body

@@ -33,8 +33,6 @@ GAUSS_NODES = (0.1, 3), (0.25, 4), (0.5, 5), (math.inf, 8)
 class BeamWeights:
     """Beams as weighted sums of columns.
 
-    Attributes
-    ----------
     first : (B,) int64, first column of each beam (may be negative: columns are modulo the fan's)
     weights : (B, W) float32, 1/sr, rows of equal length
     width_rad, height : (B,) integral of the receive pattern over azimuth, and of the elevation pattern over sines; of
@@ -88,8 +86,6 @@ def beam_weights(
 ) -> BeamWeights:
     """Weigh columns by the beam pattern, over the solid angle of each beam.
 
-    Parameters
-    ----------
     pattern : function (azimuth_rad, steer_rad) -> receive power pattern, 1 on the axis, or None for a box
     reach_rad : the pattern counts as zero further than this from the axis
     transmit_pattern : function (azimuth_rad) -> power pattern of the projector, or None for a uniform one.
@@ -130,8 +126,6 @@ def beam_weights(
 class _NearColumns(NamedTuple):
     """The columns that each beam may receive, equally many for all beams.
 
-    Attributes
-    ----------
     edges_rad : of columns by rising azimuth; those of a fan all round are laid out three times, so that the columns of
         a beam never break at the seam
     origin : which of these columns is the fan's first
@@ -172,8 +166,6 @@ def _column_solid_angles(fan: Fan, elevation_pattern: Callable | None) -> tuple[
 def gauss_nodes(width_rad: float, reach_rad: float, null_rad: float) -> int:
     """Return the nodes for columns of some width.
 
-    Parameters
-    ----------
     reach_rad, null_rad : of `beam_weights` and `Acoustics.null_rad`
     """
     ends_in_step = reach_rad + width_rad > math.pi / 2  # behind the array, which no rule resolves

@@ -29,8 +29,6 @@ T = TypeVar("T")
 class ColumnSums:
     """Sums of samples in columns and bins, rows of two larger arrays in which those of the wide columns follow.
 
-    Attributes
-    ----------
     sums : (columns, K) float32
     spans : (columns, 2) first and past last bin that may differ from 0
     all_sums, all_spans : the same, with the wide columns
@@ -45,8 +43,6 @@ class ColumnSums:
 class LabelSums:
     """Sums of samples by body, of two halves of the columns; the arrays are replaced by larger ones as needed.
 
-    Attributes
-    ----------
     cells : (bodies, MOMENTS, K) float32 of each half
     stores : RunStore of each half
     """

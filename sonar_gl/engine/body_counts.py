@@ -43,8 +43,6 @@ def count_bodies(
 ) -> BodyCounts:
     """Count the samples on each body, and about the echo of each.
 
-    Parameters
-    ----------
     view : not of a host
     is_counted : (bodies + 1,) bool by number, of which bodies; None for all. Those of others are 0
     every : of the rows of samples, every so-manieth is counted, and stands for those between

@@ -96,8 +96,6 @@ def greatest_lobe(body, body_pose, pose, reception: Reception) -> float:
     the face is nearest to the sonar. Faces with other shading normals, and those of large meshes, count as those at
     the angle where their lobe is greatest, which is face on but for large roughness.
 
-    Parameters
-    ----------
     body, body_pose, pose : of `is_unobstructed`
     """
     greatest_cosine = cos_of_greatest_lobe(body.roughness_rad)
@@ -211,8 +209,6 @@ def _limits_of(reception: Reception) -> tuple:
 def _fill_greatest(bodies, limits, gain, elevation_table, out):
     """Fill `out`, (bodies + 1,), with what `BodyExtents.greatest_echo` returns.
 
-    Parameters
-    ----------
     bodies : centres of spheres in the frame of the sonar, (n, 3); their radii, the greatest silhouettes, and the most
         that each body may return per steradian, 0 of absent ones
     limits : of `_limits_of`
@@ -279,8 +275,6 @@ def _greatest(values, first, last):
 class BodyExtents:
     """How much echo each body of a scene could return at most, if nothing stood in front of it.
 
-    Parameters
-    ----------
     bodies : of the scene
     specular : with the specular lobes of smooth bodies
     """

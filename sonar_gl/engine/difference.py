@@ -14,8 +14,6 @@ ERROR_FACTOR = 1.4  # of the error that the difference shows: 19 of 20 lie below
 def wrong_share(echo: BeamEcho, before: BeamEcho, coarser: float, alike: float = 0.0) -> float:
     """Return a bound of the share of an echo in wrong bins, which 19 of 20 keep, by the difference from another one.
 
-    Parameters
-    ----------
     before : of the same view, summed from fewer samples
     coarser : how many times fewer
     alike : share of the error, 0 to 1, that both have alike but for its size, rather than each its own

@@ -58,8 +58,6 @@ MAX_STEPS = 8  # at a time: estimates from very few samples are rough
 class Judgement(NamedTuple):
     """A sampling level in a ping.
 
-    Attributes
-    ----------
     plan : Plan of this level
     steps : by how many levels finer (or coarser, if negative) would do
     """
@@ -71,8 +69,6 @@ class Judgement(NamedTuple):
 class ErrorEstimate(NamedTuple):
     """An error of a sampling level, and what would keep the tolerance.
 
-    Attributes
-    ----------
     error : estimated error, relative
     steps : by how many levels finer (or coarser, if negative) would do
     number : of the body whose own echo it is of; 0 for none
@@ -86,8 +82,6 @@ class ErrorEstimate(NamedTuple):
 class TriedView(NamedTuple):
     """A view that was drawn and summed with some sampling level.
 
-    Attributes
-    ----------
     stage : Stage of that level
     view : ViewSamples with the numbers of bodies, valid until something else is drawn
     echo : BeamEcho
@@ -152,8 +146,6 @@ class ErrorModel:
     ) -> TriedView:
         """Draw and sum the view of a ping with a sampling level.
 
-        Parameters
-        ----------
         further : states of which views are drawn along
         for_labels : each body is summed by itself, too
         """
@@ -198,8 +190,6 @@ class ErrorModel:
     ) -> Judgement:
         """Estimate the error of a level in a ping.
 
-        Parameters
-        ----------
         tried : with samples of that level
         before : of the same ping with fewer samples, to compare with; None to draw one
         """
@@ -234,19 +224,12 @@ class ErrorModel:
         return ErrorEstimate(error, steps)
 
     def _worst_body(
-        self,
-        tried: TriedView,
-        before: TriedView,
-        coarser: float,
-        counts: np.ndarray,
-        is_compared: np.ndarray,
+        self, tried: TriedView, before: TriedView, coarser: float, counts: np.ndarray, is_compared: np.ndarray
     ) -> ErrorEstimate:
         """Estimate the error of each body's own echo, and return the largest; `coarser` as of `_whole_error`.
 
         By the samples that met it, by how the two lattices differ, and by what strips take beyond the samples.
 
-        Parameters
-        ----------
         counts : of `_counting_bodies`
         is_compared : likewise, which bodies are to be compared with `before`
         """

@@ -24,8 +24,6 @@ from sonar_gl.sonar.sampling import WORST_BODY, Sampling
 class PingSetup:
     """A request, resolved in the scene.
 
-    Attributes
-    ----------
     request : PingRequest
     head_pose : (4, 4) world_from_head, from which the fan is drawn: the request's pose with the tilt of the head
     state : SceneState; None where a host draws
@@ -58,8 +56,6 @@ class PingSetup:
 class Plan:
     """The samples that were chosen for a tolerance.
 
-    Attributes
-    ----------
     sampling : Sampling
     level : sampling level
     error_estimate : the error stays below, in 95 of 100 cases
@@ -91,8 +87,6 @@ class Plan:
 class Resolution:
     """How finely a ping is sampled.
 
-    Attributes
-    ----------
     stage : Stage of the direct view
     halvings : how often rows are halved for image sources; None until that is chosen
     check : the error of this ping is to be estimated
@@ -112,8 +106,6 @@ class Resolution:
 class FurtherViews(NamedTuple):
     """Views from the pose of a ping beside that of the whole scene; None where the ping does not need one.
 
-    Attributes
-    ----------
     background : the background bodies alone, for shadows
     lobes : returns the specular lobes alone
     texture : returns the deviation of the texture, and lobes
@@ -148,8 +140,6 @@ NO_FURTHER_VIEWS = FurtherViews()
 class DrawnPing:
     """The samples of a ping.
 
-    Attributes
-    ----------
     setup, resolution : PingSetup and Resolution
     view : ViewSamples of the sonar
     images : ImageSourceSamples; None without multipath
@@ -172,8 +162,6 @@ class DrawnPing:
 class ReceivedPing:
     """The echo of a ping in beams and bins.
 
-    Attributes
-    ----------
     drawn : DrawnPing
     direct : BeamEcho of surfaces and bubbles
     multipath : BeamEcho by way of planar reflectors; None without any
@@ -215,8 +203,6 @@ class ReceivedPing:
 class PingReport(NamedTuple):
     """What a ping tells beside its echo.
 
-    Attributes
-    ----------
     origin : SampleOrigin
     error_estimate : estimated error; None without one
     no_echo : why there is no echo; None if there is one, or where several pings before it have been explained

@@ -49,8 +49,6 @@ LEAST_ON_BODY = 16
 class MultipathEcho(NamedTuple):
     """The multipath of a ping beside its direct echo.
 
-    Attributes
-    ----------
     images : ImageSourceSamples that it was summed from
     multipath, direct : BeamEcho
     direct_error : the estimated error of the direct echo; None without one
@@ -79,8 +77,6 @@ class MultipathEcho(NamedTuple):
 class MultipathError(NamedTuple):
     """The relative error of multipath, estimated by a comparison.
 
-    Attributes
-    ----------
     error : relative to multipath
     rows : `ImageSourceSamples.rows` that it was summed from
     """
@@ -96,8 +92,6 @@ class MultipathError(NamedTuple):
 class HalvingChoice(NamedTuple):
     """How finely image sources are sampled.
 
-    Attributes
-    ----------
     halvings : how often rows are halved
     is_fixed : whether that stays
     error : MultipathError of a ping with about such samples; None where none was compared

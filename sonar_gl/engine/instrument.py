@@ -15,8 +15,6 @@ from sonar_gl.sonar.sonar import Sonar
 class Instrument:
     """A sonar with its acoustics.
 
-    Attributes
-    ----------
     sonar, acoustics
     azimuth_rad, range_m : (B,) and (K,), read-only, of every ping
     gain : (K,) float32 of each bin
@@ -34,10 +32,7 @@ class Instrument:
     def set_up(self, request: PingRequest, state: SceneState | None, n_bodies: int, **of_scene) -> PingSetup:
         """Return a request with what it takes to receive it; `of_scene` are fields of `PingSetup` that have defaults.
 
-        Raises
-        ------
-        Error
-            if its water makes no sense.
+        Raises Error if its water makes no sense.
         """
         acoustics, gain, pulse = self.acoustics, self.gain, self._pulse
         if request.water is not None:

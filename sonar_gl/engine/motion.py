@@ -20,10 +20,7 @@ WHOLE_TURN = 2 * math.pi  # after which bearings repeat, whatever the fan
 def check_velocity(velocity) -> np.ndarray | None:
     """Return (6,) float64, or None for None.
 
-    Raises
-    ------
-    Error
-        if it is not six finite numbers within bounds.
+    Raises Error if it is not six finite numbers within bounds.
     """
     if velocity is None:
         return None
@@ -112,8 +109,6 @@ def shown_in_motion(ping: Ping, velocity) -> Ping:
     and the range. What leaves a wide fan, or turns far, may enter it on the other side; what was not in it at first
     stays dark: the sound went out before. Labels are those of the nearest cell; `body_echo` stays.
 
-    Parameters
-    ----------
     ping : with its sonar and acoustics
     velocity : (6,) vx vy vz, m/s, and wx wy wz, rad/s, in the frame of the housing; or None for a sonar at rest.
         In the frame of the head, pitch, roll and heave change which elevations are received, and are left out.

@@ -54,8 +54,6 @@ EXPECTED = 1 << 13  # likewise, by which it is computed how many samples the ima
 class Thinning(NamedTuple):
     """Which samples are summed for image sources.
 
-    Attributes
-    ----------
     columns, rows : samples of the direct view for one that is summed. Faces are planes, which few columns resolve,
         while most edges that matter are level
     is_drawn_alike : image sources are drawn with all samples, of whose rows so many are summed. Others are looked up,
@@ -88,8 +86,6 @@ COARSEST, FINEST = max(THINNINGS), min(THINNINGS)
 class ImagePose(NamedTuple):
     """The sonar's image behind a plane.
 
-    Attributes
-    ----------
     sonar_from_image, image_from_sonar : (4, 4)
     clip_plane : (4,) of `Renderer.render`, in the frame of the image
     """
@@ -114,8 +110,6 @@ def image_pose(plane) -> ImagePose:
 class ImageSource:
     """A planar reflector that returns an echo in one ping.
 
-    Attributes
-    ----------
     reflector : PlanarReflector
     plane : (4,) normal and offset of it, in the sonar's frame
     ceiling : (4,) likewise of the water's surface, normal up; all zeros if there is none
@@ -145,8 +139,6 @@ class BodySamples(NamedTuple):
 class ImageSourceSamples:
     """The image sources of one ping.
 
-    Attributes
-    ----------
     halvings : how often rows were halved for them
     direct : BodySamples of the direct view, by number
     expected : BodySamples that the images should have, one after the other, if nothing hid from them what the sonar
@@ -175,8 +167,6 @@ class ImageSourceSamples:
 class DirectView(NamedTuple):
     """The direct view of a ping, by which its image sources are found, and beside which they are drawn.
 
-    Attributes
-    ----------
     view : ViewSamples
     pose : (4, 4) world_from_head
     state : SceneState
@@ -192,8 +182,6 @@ class DirectView(NamedTuple):
 class _FoundImage(NamedTuple):
     """The sonar's image behind a reflector that may return an echo, still without samples.
 
-    Attributes
-    ----------
     number : of the ping, among those that are drawn at once
     reflector, plane, pose : of `ImageSource`
     """
@@ -207,8 +195,6 @@ class _FoundImage(NamedTuple):
 class _DrawnImage(NamedTuple):
     """A found image with its samples.
 
-    Attributes
-    ----------
     found : _FoundImage
     view : ViewSamples
     bodies : BodySamples, as if no row was halved
@@ -222,8 +208,6 @@ class _DrawnImage(NamedTuple):
 class ImageSources:
     """The planar reflectors of a run, and the sonar's images behind them.
 
-    Parameters
-    ----------
     stages : StageCache of the run
     thread : of the run's world
     scene : Scene
@@ -267,8 +251,6 @@ class ImageSources:
     ) -> list[ImageSourceSamples | None]:
         """Draw the image sources of pings whose direct views `stage` has just drawn; None where there are none.
 
-        Parameters
-        ----------
         halvings : how often rows are halved, a key of THINNINGS
         coarser : those of a single ping that too few samples were drawn for, and that these replace; None for none
         """

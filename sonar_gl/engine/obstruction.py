@@ -42,8 +42,6 @@ def is_unobstructed(
     edge of it reaches in; those in a gap between box beams do not. What lies above the water's surface is not drawn for
     a sonar in the water.
 
-    Parameters
-    ----------
     number : of the body in the samples
     body, sphere, body_pose : Body, the Sphere about it in its frame, and its (4, 4) world_from_body
     pose : (4, 4) world_from_sonar, of the head

@@ -37,8 +37,6 @@ class PingWorker:
     def job(self, setup: PingSetup, resolution: Resolution, scene: Scene) -> Job:
         """Return a job that makes one ping.
 
-        Parameters
-        ----------
         resolution : its samples; the stage is replaced by the worker's own
         """
 

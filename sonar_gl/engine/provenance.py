@@ -14,8 +14,6 @@ from sonar_gl.sonar.sonar import Sonar
 class SampleOrigin:
     """Where the samples of pings come from, as their `meta` tells it.
 
-    Attributes
-    ----------
     scene : name of the scene
     bodies, plumes : their names
     tolerance : that the samples keep, or None

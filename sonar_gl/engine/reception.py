@@ -14,8 +14,6 @@ from sonar_gl.sonar.sonar import Sonar
 class Reception(NamedTuple):
     """From where a sonar receives an echo, and how strongly, by its range and its elevation.
 
-    Attributes
-    ----------
     sonar : with true ranges
     reach_rad : how far beyond their axes the outermost beams receive
     max_elevation_rad : beyond which nothing is received, side lobes included

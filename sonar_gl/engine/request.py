@@ -24,8 +24,8 @@ FIELDS |= {"reflectivities": "reflectivity", "waters": "water"}
 class PingRequest:
     """One ping: the pose of the sonar, the outputs, and what differs from the defaults of the run.
 
-    Parameters
-    ----------
+    Raises Error if an argument is invalid in every scene.
+
     pose : (4, 4) world_from_sonar, metres
     noise : Noise, or None for none
     seed, number : of the noise; the same two give the same bytes
@@ -41,11 +41,6 @@ class PingRequest:
     label_level_db : with labels, the level of a body's mean echo in a bin, dB, from which on it is labelled; None for
         what the display of the sonar shows, above the noise
     labels_above_noise : also with a `label_level_db`, noise that is added takes the labels of bins that it hides
-
-    Raises
-    ------
-    Error
-        if an argument is invalid in every scene.
     """
 
     pose: np.ndarray
@@ -112,17 +107,12 @@ def _names(background) -> tuple[str, ...] | None:
 def requests_of(poses, per_ping: dict, **common) -> Iterator[PingRequest]:
     """Yield the request of each ping.
 
-    Parameters
-    ----------
+    Raises Error if one of these is not one value per ping: at once where lengths are known, else at the first pose
+    without a value. Values are checked one by one.
+
     poses : (4, 4) world_from_sonar of each
     per_ping : key of FIELDS -> value of each ping, or None for none
     common : fields of `PingRequest` that all have in common
-
-    Raises
-    ------
-    Error
-        if one of these is not one value per ping: at once where lengths are known, else at the first pose without a
-        value. Values are checked one by one.
     """
     given = {name: values for name, values in per_ping.items() if values is not None}
     columns = [(name, iter(_per_ping(values, name, poses))) for name, values in given.items()]

@@ -15,8 +15,6 @@ from sonar_gl.sonar.sampling import Sampling
 class Sampler(Protocol):
     """Chooses the samples of pings; `AdaptiveSampling` for a tolerance, `FixedSampling` where they were given.
 
-    Attributes
-    ----------
     search : LevelSearch, which chooses those of a ping that `is_apart`; None where none is
     choice : all that checks and plans change, to be put back where a plan or a ping is broken off
     history : all that each ping changes, to be put back where a ping is broken off, or to be made again

@@ -34,8 +34,6 @@ EMPTY_SAMPLE = 0.12  # time of a sample that is drawn and met nothing, relative 
 class Stage:
     """Draws and sums with one sampling; holds what every ping uses again.
 
-    Attributes
-    ----------
     sampling : as asked for; `beamformer.fan.sampling` covers the whole aperture
     beamformer : Beamformer
     renderer : Renderer; None where a host draws
@@ -127,10 +125,7 @@ class StageCache:
     def stage(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
         """Return the stage of a sampling and a shear of the lattice; inside `drawing`.
 
-        Raises
-        ------
-        Error
-            if there are more samples than fit.
+        Raises Error if there are more samples than fit.
         """
         key = sampling, shear
         if (found := self._stages.pop(key, None)) is not None:
@@ -168,13 +163,7 @@ class StageCache:
     def make(self, sampling: Sampling, shear: float = SHEAR) -> Stage:
         """Return a new stage, which is not kept."""
         beamformer = make_beamformer(
-            self.sonar,
-            self.acoustics,
-            sampling,
-            self._thread,
-            shear,
-            self._widths,
-            self._workspace,
+            self.sonar, self.acoustics, sampling, self._thread, shear, self._widths, self._workspace
         )
         if shear not in self._render_workspaces:
             self._render_workspaces[shear] = self.engine.make_workspace(self.most_samples)

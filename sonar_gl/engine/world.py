@@ -36,8 +36,6 @@ BODIES_CURE = 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"'  
 class ReleasedBubbles(NamedTuple):
     """The bubbles of some plumes at one time.
 
-    Attributes
-    ----------
     time_s : the time, seconds
     plumes : the Bubbles
     poses : (4, 4) world_from_plume of each, read-only
@@ -72,11 +70,7 @@ class World:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        engine: str | None = None,
-        device: int | None = None,
-        context: str | None = None,
+        self, scene: Scene, engine: str | None = None, device: int | None = None, context: str | None = None
     ):
         self.engine: RasterEngine | None = None
         self._lock, self._process = ThreadLock(IN_USE), os.getpid()
@@ -138,18 +132,13 @@ class World:
     def state_of(self, bodies, time_s=None, with_bubbles: bool = False, reflectivity=None) -> SceneState:
         """Return where bodies and bubbles are in a ping.
 
-        Parameters
-        ----------
+        Raises Error if a name is of nothing in the scene, or a value is not one of these.
+
         bodies : None, or names to (4, 4) world_from_body, which may scale by one factor for all axes, or to None for a
             body that is absent; the name of a model of the scene stands for all that is in it
         time_s : seconds, None for 0
         with_bubbles : of the scene's plumes, if there are any
         reflectivity : None, or names of bodies to μ, 0..1
-
-        Raises
-        ------
-        Error
-            if a name is of nothing in the scene, or a value is not one of these.
         """
         state, plume_poses = self._moved(bodies)
         if time_s is not None:
@@ -184,10 +173,7 @@ class World:
     def mask_of(self, names) -> np.ndarray:
         """Return (bodies + 1,) bool by number, True for these bodies: a background for shadows.
 
-        Raises
-        ------
-        Error
-            if a name is of no body in the scene.
+        Raises Error if a name is of no body in the scene.
         """
         out = np.zeros(len(self.scene.bodies) + 1, bool)
         for name in names:
@@ -249,8 +235,6 @@ class World:
     def _index_of(self, name, what: str, plumes=(), models=()) -> int:
         """Return the index of a body by its name.
 
-        Parameters
-        ----------
         what : that names it, for the message of an Error
         plumes, models : names that may stand there, too
         """
@@ -283,11 +267,8 @@ class World:
     def add(self, bodies) -> None:
         """Append bodies or plumes; inside `drawing`.
 
-        Raises
-        ------
-        Error
-            if one is neither, or has a name that the scene has; if there are too many; or in the middle of a ping that
-            another simulator makes in this thread.
+        Raises Error if one is neither, or has a name that the scene has; if there are too many; or in the middle of a
+        ping that another simulator makes in this thread.
         """
         for body in bodies:
             check_kind("body", body, Body | Bubbles, "such as sonar_gl.Body('box', mesh)")

@@ -27,8 +27,6 @@ PLACE_LOCKED = "place-locked speckle, follow_motion=True"
 class FieldKey(NamedTuple):
     """What determines a place-locked field.
 
-    Attributes
-    ----------
     shape : FieldShape
     place : the first two rows of the pose, float64
     random : seed, term and look
@@ -75,8 +73,6 @@ _FIELDS = RecentFields()
 class FieldNoise:
     """The noise terms of one ping that act on its complex echo field.
 
-    Parameters
-    ----------
     ping : Ping; its sonar's beam width and its pulse correlate the fields of beams and of bins. Without a
         sonar beams are independent; without acoustics bins are, and there is no TVG
     noise : Noise

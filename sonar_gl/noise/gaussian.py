@@ -64,8 +64,6 @@ def _add(bits, magnitude, slopes, sigma, out):
 def add_normal(generator: np.random.Generator, sigma: float, out: np.ndarray) -> None:
     """Add normal random numbers of standard deviation sigma to out, in place; negative sums become 0.
 
-    Parameters
-    ----------
     out : array of any shape, float32, contiguous
     """
     out = out.reshape(-1)

@@ -72,8 +72,6 @@ def _find_ratios(intensity, deviation, smallest, largest):
 def _multiply(bits, deviation, values, slopes, first_level, largest, out):
     """Multiply out (N,) float32 by the tables' values at exponential variates, given as float32 bits (N,).
 
-    Parameters
-    ----------
     deviation : (N,) float32
     values, slopes : (L, n) of levels
     first_level : the first of the levels

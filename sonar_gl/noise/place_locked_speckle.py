@@ -43,8 +43,6 @@ FEW_WAVE_PRODUCTS = 1_000_000
 class FieldShape(NamedTuple):
     """What determines a place-locked field, besides the sonar's pose and the random waves.
 
-    Attributes
-    ----------
     correlation : its beams have a width; its pulse weights do not count
     n_bins, bin_size_m, wavelength_m : K, metres, metres; true ones, also where a sonar shows others
     pulse : PulseResponse; None without one
@@ -60,8 +58,6 @@ class FieldShape(NamedTuple):
 class Cell(NamedTuple):
     """A cell of the sea along one axis.
 
-    Attributes
-    ----------
     number : whole number of the cell
     offset_m : the sonar's distance from the cell's middle, metres, signed
     amplitude : weight of the cell's field; squares add up to 1
@@ -117,8 +113,6 @@ def _shift_weights(shape: FieldShape, shift_bins: np.ndarray) -> tuple[np.ndarra
 class Nodes(NamedTuple):
     """Azimuths at which fewer fields than beams tell those of all beams, and how to interpolate them.
 
-    Attributes
-    ----------
     azimuth_rad : (N,) radians in the world, on a grid that does not depend on the sonar's heading
     first, weights : (B,) int64 and (B, TAPS) float32: the first of the nodes about each beam, and their weights
     span_rad : the greatest distance of the first and the last of them, at any heading
@@ -135,8 +129,6 @@ class Nodes(NamedTuple):
         Off the middle of a cell the patterns of nodes lie apart in range, and their apertures aside. Fields that differ
         by more than the waves of an aperture do add up to less, or more: by a tenth in power for fine bins.
 
-        Parameters
-        ----------
         products : (N, TAPS) mean products of the field of each node with its own and those of the next nodes
         """
         out = np.empty_like(self.weights)
@@ -231,8 +223,6 @@ def add_products(start, matrix, shift, weights, out):
 
     Fields are sums over waves and over bins, so that a product is that of two sums; the real part counts.
 
-    Parameters
-    ----------
     start, matrix, shift, weights : of a `_WaveSums`
     out : float64
     """
@@ -277,8 +267,6 @@ def _sum_waves(coefficients, start, matrix, shift, weights, out):
     same places, and those waves that only one of them receives count 0 for the other. Products are added one after the
     other, wave by wave, so that bytes do not depend on which beams are paired.
 
-    Parameters
-    ----------
     coefficients : (M, 2, N) float32, complex amplitudes of M waves at N bins
     start : (B,) number of each beam's first wave
     matrix : (B, 2, W) float32, real and imaginary parts of the weights of each beam's W waves
@@ -349,8 +337,6 @@ def _weight_of(matrix, beam, wave):
 class _Layout(NamedTuple):
     """Where the waves of a place-locked field go.
 
-    Attributes
-    ----------
     nodes : Nodes; None where the waves are summed for each beam
     azimuth_rad : (N,) of the nodes, or of the beams, radians in the world
     length : of the aperture, in waves
@@ -390,8 +376,6 @@ def _weigh_waves(position, length, taper_series, phase, turn, amplitude, out):
     Those of each aperture have the power amplitude². The angles of its waves are evenly spread: each direction is the
     one before, turned. In float64 that errs by less than float32 rounds, and takes a tenth of the time.
 
-    Parameters
-    ----------
     position : (B,) of the first wave from the middle of the aperture, in waves
     length : of the apertures, in waves
     taper_series : (n,) of `FieldCorrelation`

@@ -25,8 +25,6 @@ def stream(seed: int, ping_number: int, term: str, *more: int) -> np.random.Gene
 
     Streams are independent, so switching a term on or off leaves the numbers of the others as they are.
 
-    Parameters
-    ----------
     seed, ping_number : whole numbers, 0 or more
     term : a key of `STREAMS`
     more : whole numbers, 0 or more, that select a stream within the term

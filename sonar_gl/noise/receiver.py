@@ -148,6 +148,8 @@ def absolute_levels(sonar: Sonar, acoustics: Acoustics, beam: int | None = None)
 def receiver_levels_db(noise: Noise, sonar: Sonar | None, acoustics: Acoustics | None) -> list[float]:
     """Return the level of each noise that the receiver adds, before the TVG.
 
+    Raises Error if thermal noise is on and the sonar's source level is not known.
+
     Parameters
     ----------
     sonar, acoustics : may be None where the noise has neither self-noise nor thermal noise
@@ -156,11 +158,6 @@ def receiver_levels_db(noise: Noise, sonar: Sonar | None, acoustics: Acoustics |
     -------
     dB relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m; of thermal noise that of the beam
     nearest to the boresight, from which others differ by 0.3 dB at most
-
-    Raises
-    ------
-    Error
-        if thermal noise is on and the sonar's source level is not known.
     """
     out = [sonar.self_noise_db] if noise.self_noise else []
     if noise.thermal_noise:
@@ -209,8 +206,6 @@ def add_interference(
     A pulse arrives from one azimuth of the fan at one moment and lasts PULSE_S: an arc of a few bins, shaped
     across beams by the receive beam pattern, which has a floor of SIDE_LOBES.
 
-    Parameters
-    ----------
     intensity : (B, K) float32
     mean_count : mean number of pulses in a ping; the number is Poisson-distributed
     power : (K,) power of a pulse on the axis of a beam, at each bin, after the TVG

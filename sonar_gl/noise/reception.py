@@ -68,18 +68,13 @@ def required(name: str, value, purpose: str):
 class Reception:
     """What determines the fields that a sonar receives, whatever the ping.
 
-    Parameters
-    ----------
+    Raises Error by a property that needs the sonar or the acoustics, if they are not known.
+
     sonar : its beam width correlates the fields of beams; None for independent beams
     acoustics : its pulse correlates the fields of bins; None for independent bins, and no TVG
     noise : Noise, of which the levels of the receiver's noise count
     bin_size_m : length of a bin
     azimuth_rad, range_m : of `Ping`, (B,) and (K,) float64
-
-    Raises
-    ------
-    Error
-        by a property that needs the sonar or the acoustics, if they are not known.
     """
 
     def __init__(

@@ -31,8 +31,6 @@ MANY = 20.0
 class Scatterers(NamedTuple):
     """Where scatterers may be, and how strong their echoes are. K bins.
 
-    Attributes
-    ----------
     per_bin : (K,) mean number in each bin over the whole fan
     first_rad, last_rad : azimuths between which they lie
     strength : (n,) float32, power of a scatterer's echo at sines of its elevation that are evenly spread, mean 1
@@ -54,8 +52,6 @@ def scatterers_of(
     All are equal, and lie evenly in the volume of the fan, which is as high as the main lobe of the pattern in
     elevation. A bin of length Δr at range r has the volume r² Δr Δψ 2 sin φ.
 
-    Parameters
-    ----------
     density_m3 : mean number per cubic metre
     range_m : (K,) ranges that the sonar shows, metres, evenly spread
     correlation : azimuths, width and taper of the beams

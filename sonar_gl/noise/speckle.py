@@ -33,8 +33,6 @@ MANY_BINS = 100_000  # of a look that two threads finish: 0.15 ms of work
 class FieldCorrelation(NamedTuple):
     """What correlates the complex fields of neighbouring beams and bins. B beams.
 
-    Attributes
-    ----------
     azimuth_rad : (B,) beam centres, radians, rising, as a tuple
     beam_width_rad : −3 dB width of a beam, radians; None for independent beams
     taper_series : F₁, F₂, … of the element weights 1 + 2 Σ F_m cos(2πmz/L), |z| <= L/2; () is uniform
@@ -50,8 +48,6 @@ class FieldCorrelation(NamedTuple):
 class BeamField(NamedTuple):
     """A complex Gaussian field of B beams, each interpolated between TAPS neighbours of N nodes.
 
-    Attributes
-    ----------
     nodes : (N, 2, K) float32, the real and imaginary parts of the fields of nodes
     first, weights : (B,) int64 and (B, TAPS) float32, the first of the nodes of each beam and their weights
     scale : standard deviation of the field, per that of its real part
@@ -76,8 +72,6 @@ class BeamNodes(NamedTuple):
     Nodes mirror one another about the middle of the fan: of waves, one has the opposite sines and the same cosines as
     its mirror image.
 
-    Attributes
-    ----------
     sines, cosines : (N / 2, M // 2) and (N / 2, M − M // 2) float32, weights of M waves in the first half of the nodes;
         None where nodes are white
     first, weights : (B,) int64 and (B, TAPS) float32, the first of the nodes of each beam and their weights
@@ -305,8 +299,6 @@ def look_at(
 
     Terms that are None are left out; without speckle, g is 1.
 
-    Parameters
-    ----------
     echo : (B, K) float32
     speckle, noise : g and n
     steady : C, (B, K) float32, the part of the echo that does not speckle; rounding may make it more than the echo
@@ -349,15 +341,10 @@ def _add(field, scale, total):
 
 
 def add_field(
-    total: np.ndarray,
-    amplitude: np.ndarray,
-    correlation: FieldCorrelation,
-    generator: np.random.Generator,
+    total: np.ndarray, amplitude: np.ndarray, correlation: FieldCorrelation, generator: np.random.Generator
 ) -> None:
     """Add a correlated complex Gaussian field of standard deviation `amplitude` to total, in place.
 
-    Parameters
-    ----------
     total : (B, 2, K) float32, real and imaginary parts
     amplitude : (B, K) float32, or (1, K) for all beams; its square is E|field|²
     """

@@ -16,8 +16,6 @@ RECENT_USES = 8  # of waves: two pings take those of four cells each
 class Waves(NamedTuple):
     """Random waves of a cell of the sea.
 
-    Attributes
-    ----------
     chunks : their numbers, CHUNK waves each
     coefficients : (waves, 2, bins) float32, complex amplitudes, read-only
     """
@@ -32,8 +30,6 @@ class WaveCache:
     Those that were not used for longest make room, unless that was a moment ago: of cells that are used in turn and do
     not all fit, each would go just before it is used again.
 
-    Parameters
-    ----------
     max_bytes : of the waves that it keeps
     """
 
@@ -47,8 +43,6 @@ class WaveCache:
     def waves(self, key: Hashable, chunks: range, n_bins: int, generator) -> Waves:
         """Return waves of a cell: these chunks, or more.
 
-        Parameters
-        ----------
         key : with `n_bins` what determines the waves, besides the numbers of their chunks
         generator : function (chunk) -> numpy.random.Generator
         """

@@ -159,8 +159,6 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
 def body_spans(matrices: np.ndarray, bounds: np.ndarray, extremes: np.ndarray) -> np.ndarray:
     """Return `body_spans` of `ViewSamples`: 1/range of the furthest place of each body, and of the nearest of its box.
 
-    Parameters
-    ----------
     matrices : of `BodyPlaces`; bounds, extremes : of BodyBoxes
     """
     out = np.empty((len(matrices) + 1, 2))
@@ -370,8 +368,6 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
 def choose_in_sectors(tree, bodies, places, views, limits, chosen, found):
     """Choose the patches that each of S sectors draws, in one call: handing arrays over takes as long as a small scene.
 
-    Parameters
-    ----------
     tree, bodies, places : of `choose_patches`
     views, limits : of each sector, tuples of SectorGeometry and DetailLimits, whose parts are stacked
     chosen : (S, M, 2) int32, of each sector; overwritten

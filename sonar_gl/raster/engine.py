@@ -46,26 +46,19 @@ class Renderer(Protocol):
 
         The next call, of any renderer that shares the workspace, overwrites the samples.
 
-        Parameters
-        ----------
+        Raises SampleLimitError if there are more samples than fit.
+
         poses, states : of the sonar, and for each the SceneState, or None for that of the meshes
         with_bodies : with the bodies' numbers
         full : draw the empty water, too, instead of the window that holds bodies
         planes : clip plane of each pose, before which all lies that is drawn, or None: the water's surface
         keep_last : the samples of the last call stay valid until the next one
-
-        Raises
-        ------
-        SampleLimitError
-            if there are more samples than fit.
         """
 
 
 class RasterEngine(Protocol):
     """Draws the bodies of a scene.
 
-    Attributes
-    ----------
     name : one of ENGINES, but "auto"
     draws_in_threads : whether several threads may draw at once, each with renderers of a workspace of its own. If not,
         the thread of the caller draws all pings of a sequence
@@ -136,17 +129,12 @@ def make_engine(
 ) -> RasterEngine:
     """Return the engine that draws a scene.
 
-    Parameters
-    ----------
+    Raises Error if there is no usable OpenGL where it is asked for, or the arguments contradict each other.
+
     engine : "opengl"; "cpu"; "auto" takes OpenGL where a graphics card has it, or a device or context is given, and
         else the CPU; None takes what the environment variable SONAR_GL_ENGINE says, or "auto"
     device : index of an EGL device; None takes that of SONAR_GL_DEVICE, or else the first
     context : "current" joins the OpenGL context that is current; None creates one
-
-    Raises
-    ------
-    Error
-        if there is no usable OpenGL where it is asked for, or the arguments contradict each other.
     """
     is_known = context is None or (isinstance(context, str) and context == "current")
     if not is_known or (context is not None and device is not None):

@@ -31,8 +31,6 @@ MAX_PATCH_FACES = 4 * LEAF_FACES  # patches whose union cannot be simplified to 
 class Levels:
     """The patch tree of a mesh: N patches in depth-first order from the root, each with its own vertices.
 
-    Attributes
-    ----------
     vertices : (W,) int64, index of the mesh's vertex for each vertex of the patches, patch after patch
     faces : (I, 3) uint16, patch after patch; indices count from the first vertex of the patch
     first_vertex, n_vertices, first_face, n_faces : (N,) int64
@@ -162,8 +160,6 @@ def leaf_range(faces, bounds, n_vertices: int) -> tuple[np.ndarray, np.ndarray]:
 class _Patch:
     """A patch during construction of the tree.
 
-    Attributes
-    ----------
     vertices : (n,) indices of the mesh's vertices; None for a patch that could not be simplified
     faces : (m, 3) indices into `vertices`, or None likewise
     error_m : geometric error
@@ -207,8 +203,6 @@ def _patch(faces) -> _Patch:
 def make_levels(points, faces) -> Levels:
     """Build the patch tree of a mesh.
 
-    Parameters
-    ----------
     points : (V, 3) float64, metres
     faces : (F, 3) indices of vertices
     """
@@ -312,8 +306,6 @@ def _flatten(points, top: _Patch) -> Levels:
 class MeshWithLevels:
     """The mesh of a body with its levels of detail, independent of the body's pose.
 
-    Attributes
-    ----------
     centre : (3,) float64, centre of the mesh's box in the body's frame; origin of all other coordinates
     bounds : (2, 3) low and high corner of the box
     extremes : (EXTREMES, 3) float64, outermost vertices

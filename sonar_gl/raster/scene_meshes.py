@@ -173,8 +173,6 @@ class SceneMeshes:
     ) -> BodiesInView:
         """Return the bodies as seen from `pose`, world_from_sonar.
 
-        Parameters
-        ----------
         plane : of `BodiesInView`; None is the water's surface, if there is one
         specular : with the lobes of smooth bodies
         """

@@ -88,8 +88,6 @@ def stacked(views: Sequence[SectorView]) -> SectorViews:
 class BodiesInView(NamedTuple):
     """Bodies as seen from one pose of the sonar.
 
-    Attributes
-    ----------
     matrices : (n, 3, 4) sonar_from_body, about the middle of its mesh
     rows : (n, PER_BODY) float32, what the shader knows of them
     has_lobes : whether any has a specular lobe
@@ -136,8 +134,6 @@ class PatchRoom:
 class RenderWorkspace:
     """The memory that renderers draw into, one at a time.
 
-    Parameters
-    ----------
     most_samples : of a view
     make_image : function that returns room for the samples of a view, an object with `drop_large`
     """
@@ -179,8 +175,6 @@ def distance_before_plane(plane, matrices, bounds) -> tuple[np.ndarray, np.ndarr
 class SectorLayout:
     """Lays the windows of a fan's sectors side by side in an image.
 
-    Parameters
-    ----------
     views : of the sectors
     """
 
@@ -198,8 +192,6 @@ class SectorLayout:
     ) -> ViewSamples:
         """Return the samples of a view.
 
-        Parameters
-        ----------
         windows : of each sector
         plane_echo, body_id, face_id : (H, W, 4) float32, (H, W) uint16 and int32 of `SectorSamples`; body_id and
             face_id of no size if they are not known

@@ -75,8 +75,6 @@ BAND_RAD, MIN_BAND_ROWS, MIN_BAND_DEG = 0.75, 16, 1.0
 class ColumnWidths(NamedTuple):
     """How wide columns may be under smooth beam patterns.
 
-    Attributes
-    ----------
     max_width : of a column, in beam spacings, or in parts of a beam (PARTS_PER_BEAM) where those are narrower; without
         effect on boxes
     wide_per_support : the half-width of the beams' support holds at least so many wide columns, about
@@ -93,8 +91,6 @@ USUAL_WIDTHS = ColumnWidths()
 class Fan:
     """The views and columns of a sonar for one sampling.
 
-    Attributes
-    ----------
     sonar : Sonar
     sampling : Sampling
     sectors : perspective views from starboard to port; then those of the side lobes in elevation
@@ -146,8 +142,6 @@ class Fan:
 class BeamShape(NamedTuple):
     """What the beams of a sonar ask of its fan.
 
-    Attributes
-    ----------
     support_rad : half-width of the receive beam pattern's support, radians: the outer beams reach this far beyond
         their axes
     is_box : whether the beams are boxes of that half-width; columns then end where beams end
@@ -176,8 +170,6 @@ def make_fan(
 ) -> Fan:
     """Return the fan of a sonar: its sectors with their samples and strips, and its columns.
 
-    Parameters
-    ----------
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
     widths : ColumnWidths
     """
@@ -292,8 +284,6 @@ def _widest_column_rad(sonar: Sonar, span_rad: float, widths: ColumnWidths) -> f
 def _upright_edges(seams_rad: np.ndarray, n_columns: int) -> np.ndarray:
     """Return the azimuths between which upright columns lie, rising: as even on the plane of each view as samples are.
 
-    Parameters
-    ----------
     seams_rad : (views + 1,) between which the views lie
     n_columns : of each view
     """
@@ -356,8 +346,6 @@ def _sectors_of(
 ) -> list[Sector]:
     """Return the sectors of a band, still without strips.
 
-    Parameters
-    ----------
     ends_rad : azimuths between which the columns lie
     half_width_rad : of sectors that hold the columns at the horizon
     """
@@ -385,8 +373,6 @@ def _column_edges(
 ) -> np.ndarray:
     """Return the azimuths between which the columns of boxes, or cones, lie, rising; they end where sectors do.
 
-    Parameters
-    ----------
     ends_rad : of all columns
     seams_rad : ends of the sectors
     sample_rad : width of a sample, about
@@ -439,8 +425,6 @@ def _wide_edges(edges_rad: np.ndarray, seams_rad: np.ndarray, width_rad: float) 
 
     They end where sectors do. Those of a fan's mirror image are the mirror images of the fan's.
 
-    Parameters
-    ----------
     edges_rad, seams_rad : of the columns and of the sectors, rising
     width_rad : of a wide column, about: whole columns make it
     """

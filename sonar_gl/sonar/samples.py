@@ -23,8 +23,6 @@ BESIDE_ECHO = 2
 class SectorSamples(NamedTuple):
     """The samples of one sector, R rows by C columns.
 
-    Attributes
-    ----------
     sector : Sector, whose lattice begins at the first of these samples
     plane_echo : (R, C, 4) float32: 1/x of the surface on the ray, 0 where it met nothing; slopes of 1/x along
         u and v; μ cos θ times slant range
@@ -122,8 +120,6 @@ def whole_rows(window: np.ndarray) -> np.ndarray:
 class SectorTable(NamedTuple):
     """Where the samples of a view's S sectors lie in its image, and their lattices, as kernels take them.
 
-    Attributes
-    ----------
     places : (S, 3) int64, first column in the image, columns and rows
     u, v : (S, 3) float64, of `Sector`
     limits : (S, 4) float64, tangents of the lowest and the highest elevation; sine and cosine of the azimuth
@@ -155,8 +151,6 @@ def sector_table(sectors: Sequence[Sector], left: Sequence[int]) -> SectorTable:
 class ViewSamples:
     """The samples of the fan from one pose.
 
-    Attributes
-    ----------
     sectors : SectorSamples of the fan's sectors
     plane_echo : (H, W, 4) float32, the image that contains the sectors side by side; None if a host rendered them
     left : column of the image at which the samples of each sector begin

@@ -64,10 +64,7 @@ class ToleranceWarning(UserWarning):
 def check_tolerance(tolerance) -> float:
     """Return the tolerance as a float.
 
-    Raises
-    ------
-    Error
-        if it lies outside 0.001..0.5.
+    Raises Error if it lies outside 0.001..0.5.
     """
     if not (is_number(tolerance) and 0.001 <= tolerance <= 0.5):
         raise Error(

@@ -56,8 +56,6 @@ class Strips:
     A strip ends where a column of the fan ends and is at most a tenth wider than a sample, a cone where the sector
     first holds it. In each row it takes the value of the nearest sample.
 
-    Attributes
-    ----------
     column : (P,) int64, index of the fan's column that contains the strip; wide columns are counted on from the others
     middle : (P,) float64, u of the middle of an upright strip; sine k of the middle of a cone
     width : (P,) float64, in the unit of `middle`
@@ -97,8 +95,6 @@ class Sector:
     fraction of a row, so that an upright or level edge crosses the strips at another place in every row. The strips
     themselves are not sheared.
 
-    Attributes
-    ----------
     azimuth_rad : azimuth of its middle, radians
     half_width_rad : half the azimuth that its strips cover; samples beyond it only fill sheared rows
     rows, columns : R, C
@@ -155,8 +151,6 @@ class Sector:
     def projection(self, near_m: float, far_m: float) -> np.ndarray:
         """Return (4, 4) clip_from_sonar of OpenGL: the sheared perspective with samples on pixel centres.
 
-        Parameters
-        ----------
         near_m, far_m : distances of the near and the far plane, metres
         """
         # pixel = inverse lattice of (u, v), where u = −y/x and v = z/x in the sector's frame
@@ -197,8 +191,6 @@ def make_sector(
 ) -> Sector:
     """Return a sector, still without strips.
 
-    Parameters
-    ----------
     azimuth_rad, half_width_rad : middle, and half of the azimuth that it covers, radians
     n_samples : samples of a row over that azimuth; rows get more samples as the shear requires
     rows : rows between the limits; the sector gets more rows as their curved edges and the shear require
@@ -240,8 +232,6 @@ def _greatest_lean(azimuth_rad: float, half_width_rad: float, tan_elevation: flo
 def make_strips(sectors: Sequence[Sector], column_edges_rad, first_column: int = 0) -> list[Strips]:
     """Return the upright strips of some sectors: the fan's columns, divided evenly where they are wider than a sample.
 
-    Parameters
-    ----------
     sectors : Sectors
     column_edges_rad : (columns + 1,) azimuths between which the columns of the fan lie, rising
     first_column : number of the first of these columns
@@ -281,8 +271,6 @@ def _uprights(
 def make_cone_strips(sectors: Sequence[Sector], column_edges_rad, first_column: int = 0) -> list[Strips]:
     """Return the strips of some sectors that are cones about the axis of a line array, up to MAX_AZIMUTH_RAD.
 
-    Parameters
-    ----------
     sectors : Sectors
     column_edges_rad : (columns + 1,) azimuths at which the array shows the edges of the fan's columns, rising, within
         ±MAX_CONE_RAD

@@ -511,8 +511,6 @@ class Sonar:
 def too_short_step_s(times_s, max_rate_hz: float) -> float | None:
     """Return the shortest time between two pings if a sonar makes none as quickly, else None; equal times have no rate.
 
-    Parameters
-    ----------
     times_s : (pings,) times of transmission, seconds
     max_rate_hz : of `Sonar.max_ping_rate_hz`
 

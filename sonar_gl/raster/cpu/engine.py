@@ -43,8 +43,6 @@ NO_LOBES = np.empty((0, 0), np.float32)
 class LoadedMeshes:
     """The meshes of a scene's bodies in arrays.
 
-    Attributes
-    ----------
     meshes : SceneMeshes, the bodies and their poses
     vertices : Vertices of all patches
     patches : tuple of PatchFaces; empty without bodies
@@ -128,8 +126,6 @@ class _HalfWorkspace:
 class CpuWorkspace(RenderWorkspace):
     """Images, and what each thread draws into.
 
-    Attributes
-    ----------
     halves : _HalfWorkspace of each thread
     """
 
@@ -149,8 +145,6 @@ class CpuRenderer:
 
     Of each sector only the window that holds bodies is drawn, in two halves if that pays.
 
-    Parameters
-    ----------
     engine : CpuEngine
     fan : Fan
     specular : add the specular lobes of smooth bodies
@@ -206,12 +200,7 @@ class CpuRenderer:
         return out
 
     def _draw(
-        self,
-        images: Sequence[_Image],
-        bodies: BodiesInView,
-        with_bodies: bool,
-        full: bool,
-        half: int | None,
+        self, images: Sequence[_Image], bodies: BodiesInView, with_bodies: bool, full: bool, half: int | None
     ) -> list[ViewSamples]:
         """Draw a view, and into a second image its specular lobes alone, in the memory of one half if that is given.
 
@@ -271,8 +260,6 @@ class CpuRenderer:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Draw some columns of each sector's window; return `is_met` and `lit` of `draw_windows`.
 
-        Parameters
-        ----------
         placed : tuple of PlacedBodies
         chosen, found : of `SceneMeshes.choose`
         most : faces, and samples, of a sector
@@ -306,8 +293,6 @@ def _lobes_alone(
 ) -> ViewSamples:
     """Return the samples of specular lobes alone, and of those beside them, which few of a view are.
 
-    Parameters
-    ----------
     whole : the view with all echoes
     image, lobes : as for `shade`
     limits : (S, 4) columns and rows of the lobes of each sector, as for `with_neighbours`
@@ -358,8 +343,6 @@ def _with_lobes(views: Sequence[tuple]) -> list[list[int]]:
 class CpuEngine:
     """Draws the bodies of a scene by compiled code. A `RasterEngine`.
 
-    Attributes
-    ----------
     contents : LoadedMeshes
     driver : what stands in for the driver's names
     """

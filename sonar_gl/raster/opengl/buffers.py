@@ -68,8 +68,6 @@ def collapse_lines(faces: np.ndarray, first: int, points: np.ndarray) -> None:
     A driver that rounds corners to its own grid may find a sample in such a face, and has no plane for it. The geometry
     shader leaves out such faces, and others that are far away; software drivers draw without it.
 
-    Parameters
-    ----------
     faces : (I, 3) indices, counted from `first`
     points : (W, 3) float32
     """
@@ -101,8 +99,6 @@ def draws_of(patches: np.ndarray, meshes: SceneMeshes, row: int) -> np.ndarray:
 class UploadedMeshes:
     """The meshes of a scene's bodies, on the CPU and in GL buffers.
 
-    Attributes
-    ----------
     meshes : SceneMeshes, the bodies and their poses
     points, normals, reflectivity : GrowingBuffer of each vertex; unused as long as no mesh has the attribute
     indices : GrowingBuffer of all faces
@@ -153,8 +149,6 @@ class UploadedMeshes:
 class SceneBuffers:
     """A scene's meshes in GL buffers, and what draws them.
 
-    Attributes
-    ----------
     uploaded : UploadedMeshes
     """
 

@@ -22,8 +22,6 @@ from sonar_gl.sonar.fan import Fan
 class OpenGLEngine:
     """Draws the bodies of a scene by OpenGL. A `RasterEngine`.
 
-    Parameters
-    ----------
     context : of its own, which goes with it; None joins the context that is current, a host's
     """
 
@@ -100,10 +98,7 @@ class OpenGLEngine:
 def by_device(scene: Scene, device: int | None) -> OpenGLEngine:
     """Return an engine on an EGL device; None takes that of SONAR_GL_DEVICE, or else the first.
 
-    Raises
-    ------
-    Error
-        if there is no EGL or no such device, or the driver is too old.
+    Raises Error if there is no EGL or no such device, or the driver is too old.
     """
     with egl.preserve_current():  # a new context is current at first
         context = gl.create_context(device)

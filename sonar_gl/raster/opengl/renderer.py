@@ -50,8 +50,6 @@ BORDER = 1
 class SectorDraws(NamedTuple):
     """What a sector draws.
 
-    Attributes
-    ----------
     first, n_closed, n : its draws among those of all poses; the first of them are of closed bodies
     window : Window
     """
@@ -94,10 +92,7 @@ class RenderTarget:
     def allocate(self, context: moderngl.Context, limit: int) -> None:
         """Have room for the pixels in use, and not for far more than many uses in a row need.
 
-        Raises
-        ------
-        Error
-            if the graphics card is known to lack the memory, or the driver makes no such framebuffer.
+        Raises Error if the graphics card is known to lack the memory, or the driver makes no such framebuffer.
         """
         in_use = self.width, self.height
         most_kept = max(MAX_PIXELS_PER_USED * self.width * self.height, MIN_PIXELS)
@@ -217,26 +212,15 @@ class OpenGLRenderer:
 
     Of each sector only the window that holds bodies is drawn.
 
-    Parameters
-    ----------
+    Raises Error if the samples do not fit the driver's limits.
+
     buffers : SceneBuffers
     fan : Fan
     specular : add the specular lobes of smooth bodies
     workspace : OpenGLWorkspace, which renderers may share
-
-    Raises
-    ------
-    Error
-        if the samples do not fit the driver's limits.
     """
 
-    def __init__(
-        self,
-        buffers: SceneBuffers,
-        fan: Fan,
-        specular: bool,
-        workspace: OpenGLWorkspace,
-    ):
+    def __init__(self, buffers: SceneBuffers, fan: Fan, specular: bool, workspace: OpenGLWorkspace):
         context = buffers.context
         self._context, self._buffers, self._specular = context, buffers, specular
         self._far_m = FAR_FACTOR * fan.sonar.range_max_m

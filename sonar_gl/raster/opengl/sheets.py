@@ -25,8 +25,6 @@ FURTHEST = 2.0
 class Sheet(NamedTuple):
     """A body that is a rectangle, without holes, about the middle of its box.
 
-    Attributes
-    ----------
     axes : (2, 3) directions of its sides, of unit length, in the body's frame
     half_sides : (2,) half their lengths, metres
     """
@@ -67,8 +65,6 @@ def sheet_of(body: Body) -> Sheet | None:
 def draw_near(sheet: Sheet, matrix: np.ndarray, reach_m: float, row: np.ndarray) -> None:
     """Have a rectangle drawn no further than `reach_m` along its sides from the foot of the sonar on it.
 
-    Parameters
-    ----------
     matrix : (3, 4) sonar_from_body, about the middle of the rectangle's box
     row : of `place_bodies`; its first 12 floats, the same matrix, are replaced if the rectangle reaches further
     """
