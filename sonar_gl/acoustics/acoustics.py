@@ -341,7 +341,6 @@ class Acoustics:
         Parameters
         ----------
         range_m : ranges that the sonar shows, metres, any shape
-        sonar : Sonar
 
         Returns
         -------
@@ -365,7 +364,6 @@ class Acoustics:
         Parameters
         ----------
         range_m : ranges that the sonar shows, metres, any shape
-        sonar : Sonar
 
         Returns
         -------

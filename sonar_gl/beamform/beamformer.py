@@ -193,7 +193,6 @@ class Beamformer:
 
     Parameters
     ----------
-    fan, weights : Fan and BeamWeights
     far_lobes : what beams receive beyond these weights; None for nothing
     elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
     thread : for the second half; None does both halves in the caller's thread

@@ -69,7 +69,6 @@ def _one_thread():
 class LobeBlocks:
     """The far side lobes of a sonar's beams, whatever its columns are.
 
-    pattern : FarPattern
     edges : (J + 1,) coordinates of `FarPattern.coordinate` between which the blocks lie, evenly
     nodes : (N,) coordinates from the edge of a block on
     functions : (N, rank) values there
@@ -200,7 +199,6 @@ def _cheapest_blocks(pattern: FarPattern, axes_rad: tuple, ends_rad: tuple) -> L
 class NodeTable(NamedTuple):
     """The far pattern at the differences of two nodes, −N..N times their spacing.
 
-    pattern : FarPattern
     span : width of the fan, of coordinates
     power : (2 N + 1,)
     peak : (2 N + 1,) `FarPattern.peak`; infinite where errors do not count

@@ -226,11 +226,9 @@ def label_columns(fan: Fan, weights: BeamWeights, is_box: bool, response: np.nda
 class Labeller:
     """Finds labels.
 
-    columns : LabelColumns
     spreading : bins, spread and elevation_pattern of `sum_bodies`
     parts : which of the tiles of beams each half does
     n_beams : number of beams
-    workspace : Workspace
     """
 
     def __init__(self, columns: LabelColumns, spreading: tuple, parts, n_beams: int, workspace: Workspace):

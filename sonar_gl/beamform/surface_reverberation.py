@@ -36,10 +36,8 @@ def sum_surface(
 ) -> BeamEcho:
     """Return the echo of the water's surface in beams and bins, mean of its speckle.
 
-    beamformer : Beamformer
     samples : of each sector; their bodies hide the surface
     gain : (K,) float32, range gain
-    surface : WaterSurface
     backscatter : function (grazing_rad) -> σ, cross section per area and steradian
     """
     edges_m = beamformer.fan.sonar.bin_edges_m

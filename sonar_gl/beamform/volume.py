@@ -31,7 +31,6 @@ def sum_volume(
     In beam b and bin k it is π s_v Δr G_k times the share of the beam, by its two-way pattern, in which no surface lies
     nearer than the bin. Half of what surfaces in the bin itself cover is taken as open.
 
-    beamformer : Beamformer
     samples : of each sector; their surfaces end the water
     gain : (K,) float32, range gain
     strength_db : volume backscattering strength 10 log10 s_v, dB re 1/m

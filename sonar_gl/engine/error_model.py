@@ -84,8 +84,6 @@ class TriedView(NamedTuple):
 
     stage : Stage of that level
     view : ViewSamples with the numbers of bodies, valid until something else is drawn
-    echo : BeamEcho
-    counts : BodyCounts
     bodies : BodySums for the labels of the ping; None where they are not summed
     further : ViewSamples that were drawn along
     """
@@ -108,7 +106,6 @@ class ErrorModel:
 
     Parameters
     ----------
-    stages : StageCache
     tolerance : as for `Simulator`
     gain : (K,) of the sonar's bins
 

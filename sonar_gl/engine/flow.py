@@ -24,7 +24,6 @@ from sonar_gl.sonar.sampling import WORST_BODY, Sampling
 class PingSetup:
     """A request, resolved in the scene.
 
-    request : PingRequest
     head_pose : (4, 4) world_from_head, from which the fan is drawn: the request's pose with the tilt of the head
     state : SceneState; None where a host draws
     acoustics : Acoustics in the ping's own water
@@ -56,7 +55,6 @@ class PingSetup:
 class Plan:
     """The samples that were chosen for a tolerance.
 
-    sampling : Sampling
     level : sampling level
     error_estimate : the error stays below, in 95 of 100 cases
     worst_body_estimate : the relative error of any body's own echo likewise
@@ -140,10 +138,8 @@ NO_FURTHER_VIEWS = FurtherViews()
 class DrawnPing:
     """The samples of a ping.
 
-    setup, resolution : PingSetup and Resolution
     view : ViewSamples of the sonar
     images : ImageSourceSamples; None without multipath
-    further : FurtherViews
     """
 
     setup: PingSetup
@@ -162,7 +158,6 @@ class DrawnPing:
 class ReceivedPing:
     """The echo of a ping in beams and bins.
 
-    drawn : DrawnPing
     direct : BeamEcho of surfaces and bubbles
     multipath : BeamEcho by way of planar reflectors; None without any
     labels : Labels, or None
@@ -203,7 +198,6 @@ class ReceivedPing:
 class PingReport(NamedTuple):
     """What a ping tells beside its echo.
 
-    origin : SampleOrigin
     error_estimate : estimated error; None without one
     no_echo : why there is no echo; None if there is one, or where several pings before it have been explained
     """

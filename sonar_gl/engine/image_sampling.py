@@ -50,7 +50,6 @@ class MultipathEcho(NamedTuple):
     """The multipath of a ping beside its direct echo.
 
     images : ImageSourceSamples that it was summed from
-    multipath, direct : BeamEcho
     direct_error : the estimated error of the direct echo; None without one
     """
 

@@ -110,10 +110,8 @@ def image_pose(plane) -> ImagePose:
 class ImageSource:
     """A planar reflector that returns an echo in one ping.
 
-    reflector : PlanarReflector
     plane : (4,) normal and offset of it, in the sonar's frame
     ceiling : (4,) likewise of the water's surface, normal up; all zeros if there is none
-    pose : ImagePose
     own_view, image_view : SectorSamples of each sector, of the sonar and of its image
     own_index, image_index : ViewIndex of both; that of the sonar has all samples of its direct view
     """
@@ -167,9 +165,7 @@ class ImageSourceSamples:
 class DirectView(NamedTuple):
     """The direct view of a ping, by which its image sources are found, and beside which they are drawn.
 
-    view : ViewSamples
     pose : (4, 4) world_from_head
-    state : SceneState
     gain : (K,) float32 of the bins
     """
 
@@ -192,25 +188,11 @@ class _FoundImage(NamedTuple):
     pose: ImagePose
 
 
-class _DrawnImage(NamedTuple):
-    """A found image with its samples.
-
-    found : _FoundImage
-    view : ViewSamples
-    bodies : BodySamples, as if no row was halved
-    """
-
-    found: _FoundImage
-    view: ViewSamples
-    bodies: BodySamples
-
-
 class ImageSources:
     """The planar reflectors of a run, and the sonar's images behind them.
 
     stages : StageCache of the run
     thread : of the run's world
-    scene : Scene
     tolerance : of the whole echo. Reflectors that can return no more than this share of it are left out
     """
 
@@ -284,41 +266,37 @@ class ImageSources:
             counted += [(stage, pings[number].view, pings[number].gain) for number in numbers]
         counts = self._count_bodies(counted)
         direct = [coarser.direct] if coarser is not None else counts[len(found) :]
-        images = [
-            _DrawnImage(one, view, BodySamples(met.samples * times_fewer, met.echo))
-            for one, view, met in zip(found, image_views, counts[: len(found)], strict=True)
-        ]
         for number, own_view, of_direct in zip(numbers, own_views, direct, strict=True):
             ping, index = pings[number], indices[number]
-            mine = [one for one in images if one.found.number == number]
+            mine = [n for n, one in enumerate(found) if one.number == number]
             if coarser is not None:
                 expected = coarser.expected
             else:
-                planes = [one.found.plane for one in mine]
+                planes = [found[n].plane for n in mine]
                 expected = self._expect_bodies(stage, ping.view, index, planes, of_direct)
             out[number] = ImageSourceSamples(
                 halvings=halvings,
                 direct=of_direct,
                 expected=expected,
                 imaged=BodySamples(
-                    samples=np.concatenate([one.bodies.samples for one in mine]),
-                    echo=np.concatenate([one.bodies.echo for one in mine]),
+                    samples=times_fewer * np.concatenate([counts[n].samples for n in mine]),
+                    echo=np.concatenate([counts[n].echo for n in mine]),
                 ),
                 interference=self._interference,
                 own=own,
                 image=image,
                 sources=tuple(
                     ImageSource(
-                        reflector=one.found.reflector,
-                        plane=one.found.plane,
+                        reflector=found[n].reflector,
+                        plane=found[n].plane,
                         ceiling=self._ceiling(ping.pose),
-                        pose=one.found.pose,
+                        pose=found[n].pose,
                         own_view=own_view,
-                        image_view=[every_row(sector, step) for sector in one.view.sectors],
+                        image_view=[every_row(sector, step) for sector in image_views[n].sectors],
                         own_index=index,
-                        image_index=view_index(one.view),
+                        image_index=view_index(image_views[n]),
                     )
-                    for one in mine
+                    for n in mine
                 ),
             )
         return out

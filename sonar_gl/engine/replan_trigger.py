@@ -21,7 +21,6 @@ CHECK_TURN_DEG = 30.0  # or a quarter of the field of view, or half the aperture
 class ReplanTrigger:
     """Decides when to estimate the error again: since the last check sonar or bodies have moved, or bodies changed.
 
-    sonar : Sonar
     backscatter : function of a state to the most that each body returns in it
     """
 

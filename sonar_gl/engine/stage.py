@@ -35,7 +35,6 @@ class Stage:
     """Draws and sums with one sampling; holds what every ping uses again.
 
     sampling : as asked for; `beamformer.fan.sampling` covers the whole aperture
-    beamformer : Beamformer
     renderer : Renderer; None where a host draws
     """
 

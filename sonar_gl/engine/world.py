@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import threading
 from collections import ChainMap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import NamedTuple
 from weakref import WeakSet
 
 import numpy as np
@@ -31,27 +30,6 @@ IN_USE = (
 )
 
 BODIES_CURE = 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"'  # for messages
-
-
-class ReleasedBubbles(NamedTuple):
-    """The bubbles of some plumes at one time.
-
-    time_s : the time, seconds
-    plumes : the Bubbles
-    poses : (4, 4) world_from_plume of each, read-only
-    bubbles : of `SceneState`, read-only
-    """
-
-    time_s: float
-    plumes: tuple[Bubbles, ...]
-    poses: tuple[np.ndarray, ...]
-    bubbles: np.ndarray
-
-    def are_of(self, time_s: float, plumes: Sequence[Bubbles], poses: Sequence[np.ndarray]) -> bool:
-        """Return whether they are those of these plumes, the same objects, at this time."""
-        own, others = (*self.plumes, *self.poses), (*plumes, *poses)
-        is_same = time_s == self.time_s and len(own) == len(others)
-        return is_same and all(one is other for one, other in zip(own, others, strict=True))
 
 
 class World:
@@ -81,7 +59,8 @@ class World:
         self.thread = SecondThread() if n_threads() > 1 else None
         self.n_changes, self._taking = 0, threading.local()
         self._plume_poses = {plume.name: plume.pose for plume in scene.plumes}
-        self._released = ReleasedBubbles(0.0, (), (), np.empty((0, 4)))  # of the last ping with any
+        # of the last ping with any: the time, the plumes and their poses, and what came of these
+        self._released = 0.0, [], np.empty((0, 4))
         self.engine = make_engine(self.scene, engine, device, context)
         self.gl_info = self.engine.driver
         self._indices: dict[str, int] = {}  # of the first bodies; see `_numbered`
@@ -158,8 +137,9 @@ class World:
         """
         plumes = [plume for plume in self.scene.plumes if plume_poses[plume.name] is not None]
         poses = [plume_poses[plume.name] for plume in plumes]
-        released = self._released
-        if not released.are_of(time_s, plumes, poses):
+        last_s, last, bubbles = self._released
+        is_same = time_s == last_s and len(last) == 2 * len(plumes)
+        if not (is_same and all(one is other for one, other in zip(last, plumes + poses, strict=True))):
             found = (
                 np.column_stack(plume.at(time_s, pose)) for plume, pose in zip(plumes, poses, strict=True)
             )
@@ -167,8 +147,8 @@ class World:
             if self.scene.surface_z_m is not None:
                 bubbles = bubbles[bubbles[:, 2] < self.scene.surface_z_m]
             bubbles.setflags(write=False)
-            released = self._released = ReleasedBubbles(time_s, tuple(plumes), tuple(poses), bubbles)
-        return released.bubbles
+            self._released = time_s, plumes + poses, bubbles
+        return bubbles
 
     def mask_of(self, names) -> np.ndarray:
         """Return (bodies + 1,) bool by number, True for these bodies: a background for shadows.

@@ -27,7 +27,6 @@ PLACE_LOCKED = "place-locked speckle, follow_motion=True"
 class FieldKey(NamedTuple):
     """What determines a place-locked field.
 
-    shape : FieldShape
     place : the first two rows of the pose, float64
     random : seed, term and look
     """
@@ -75,7 +74,6 @@ class FieldNoise:
 
     ping : Ping; its sonar's beam width and its pulse correlate the fields of beams and of bins. Without a
         sonar beams are independent; without acoustics bins are, and there is no TVG
-    noise : Noise
     seed, ping_number : of `random_streams.stream`
     thread : does a part of the work, with the same bytes; None: the caller does all
     """

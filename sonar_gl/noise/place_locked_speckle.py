@@ -466,7 +466,6 @@ def place_locked_field(
 
     Parameters
     ----------
-    shape : FieldShape
     pose : (4, 4) world_from_sonar, or its first two rows; its heading, its horizontal position and which side is up
         count
     waves_of : function (cell x, cell y, chunks, number of bins) of those waves, or more

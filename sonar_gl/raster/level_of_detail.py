@@ -310,7 +310,6 @@ class MeshWithLevels:
     bounds : (2, 3) low and high corner of the box
     extremes : (EXTREMES, 3) float64, outermost vertices
     closed : +1 if every edge joins two faces of the same orientation, with normals that point outwards; otherwise 0
-    levels : Levels
     points : (W, 3) float32, position of each vertex of the levels
     normals : (W, 3) float32 of the same vertices, or None
     reflectivity : (W,) float32, equal at the corners of each face, or None where the body has one value

@@ -36,7 +36,6 @@ class SectorView:
 
     Attributes
     ----------
-    sector : Sector
     geometry : SectorGeometry
     whole : Window of all its samples
     sample_rad : least width of a sample

@@ -91,8 +91,6 @@ USUAL_WIDTHS = ColumnWidths()
 class Fan:
     """The views and columns of a sonar for one sampling.
 
-    sonar : Sonar
-    sampling : Sampling
     sectors : perspective views from starboard to port; then those of the side lobes in elevation
     column_edges_rad : (columns + 1,) float64, azimuths between which the columns lie, rising
     max_elevation_rad : elevation of the uppermost strips
@@ -171,7 +169,6 @@ def make_fan(
     """Return the fan of a sonar: its sectors with their samples and strips, and its columns.
 
     shear : of the lattice, samples from row to row; a negative one gives the lattice's mirror image
-    widths : ColumnWidths
     """
     views = _views_of(sonar, beams)
     (start, stop), n_sectors, half_width = views

@@ -101,7 +101,6 @@ class Sector:
     u : (3,) float64; the sample at row j, column i lies at u[0] + u[1] i + u[2] j
     v : (3,) float64; the sample at row j, column i lies at v[0] + v[1] i + v[2] j
     tan_low, tan_high : tangents of the elevations between which its strips lie
-    strips : Strips
     """
 
     azimuth_rad: float

@@ -145,8 +145,6 @@ class CpuRenderer:
 
     Of each sector only the window that holds bodies is drawn, in two halves if that pays.
 
-    engine : CpuEngine
-    fan : Fan
     specular : add the specular lobes of smooth bodies
     workspace : CpuWorkspace, which renderers may share
     thread : for the second half; None does both halves in the caller's thread

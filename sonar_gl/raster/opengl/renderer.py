@@ -51,7 +51,6 @@ class SectorDraws(NamedTuple):
     """What a sector draws.
 
     first, n_closed, n : its draws among those of all poses; the first of them are of closed bodies
-    window : Window
     """
 
     first: int
@@ -214,8 +213,6 @@ class OpenGLRenderer:
 
     Raises Error if the samples do not fit the driver's limits.
 
-    buffers : SceneBuffers
-    fan : Fan
     specular : add the specular lobes of smooth bodies
     workspace : OpenGLWorkspace, which renderers may share
     """
