@@ -119,40 +119,29 @@ def split_faces(points, faces) -> tuple[np.ndarray, np.ndarray]:
     n_leaves = 2 ** max(0, math.ceil(math.log2(len(faces) / LEAF_FACES)))
     bounds = np.linspace(0, len(faces), n_leaves + 1).astype(int)
 
-    def halve(low, high):
-        """Halve the faces of the leaves low..high - 1; return the leaves of both halves."""
+    def split(low, high):
+        """Halve the faces of the leaves low..high - 1, down to single leaves."""
+        if high - low == 1:
+            return
         middle = (low + high) // 2
         part = slice(bounds[low], bounds[high])
         along = middles[part, _longest_axis(middles[part])]
         picked = np.argpartition(along, bounds[middle] - bounds[low])
         # the middles move, too, so that those of a part stay together in memory
         order[part], middles[part] = order[part].take(picked), middles[part].take(picked, axis=0)
-        return (low, middle), (middle, high)
+        split(low, middle)
+        split(middle, high)
 
-    def split(low, high):
-        if high - low > 1:
-            for half in halve(low, high):
-                split(*half)
-
-    if n_leaves > 1:
-        one, other = halve(0, n_leaves)
-        with ThreadPoolExecutor(1) as other_thread:
-            second_half = other_thread.submit(split, *other)
-            split(*one)
-            second_half.result()
+    split(0, n_leaves)
     return order, bounds
 
 
 def leaf_range(faces, bounds, n_vertices: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest and the highest leaf that uses each vertex; `faces` are in the order of leaves."""
-    leaf = np.repeat(np.arange(len(bounds) - 1, dtype=np.int32), np.diff(bounds))
+    leaf = np.repeat(np.arange(len(bounds) - 1, dtype=np.int32), 3 * np.diff(bounds))
     lowest, highest = np.full(n_vertices, len(bounds), np.int32), np.full(n_vertices, -1, np.int32)
-    for k in range(3):  # where an index repeats, the last assignment counts
-        last = np.full(n_vertices, -1, np.int32)
-        last[faces[:, k]] = leaf
-        highest = np.maximum(highest, last)
-        last[faces[::-1, k]] = leaf[::-1]
-        lowest = np.minimum(lowest, np.where(last < 0, len(bounds), last))
+    np.minimum.at(lowest, faces.ravel(), leaf)
+    np.maximum.at(highest, faces.ravel(), leaf)
     return lowest, highest
 
 
