@@ -197,10 +197,11 @@ def test_the_echo_of_a_piece_is_the_mean_of_its_rows_and_rises_as_they_do():
     image[..., :3], echo = (0.2, 0.0, 0.0), 0.5 + 0.03125 * np.arange(n_rows)
     image[:, 0, 3] = echo
     work = work_table.make_work()
-    work[work_table.SAMPLE, :n_rows] = 0.0
-    work[work_table.LINE_U, 0] = 0.0
+    for row in (work_table.SAMPLE, work_table.LINE_U, work_table.TILT):
+        work[row, :n_rows] = 0.0
+    work[work_table.V_RAY, :n_rows] = 0.05 + step * np.arange(n_rows)
     work[work_table.PIECE, : len(begins)] = begins
-    assert gather_pieces(work, image, lattice, 0, len(begins) - 1, False) == (0, len(begins) - 2)
+    assert gather_pieces(work, image, lattice, 0, len(begins) - 1) == (0, len(begins) - 2)
     for k, (begin, past) in enumerate(pairwise(begins)):
         mean = echo[begin:past].mean()
         assert work[work_table.ECHO, k] == pytest.approx(mean, rel=1e-12)

@@ -39,8 +39,6 @@ def beam_tiles(first, weights) -> BeamTiles:
 def weigh_columns(column_sums, spans, tiles, part, gain, out):
     """Write some beams as weighted sums of columns, times a gain; return their sum.
 
-    Parameters
-    ----------
     column_sums, spans : (columns, K), zero outside of spans, (columns, 2)
     tiles : tuple of BeamTiles
     part : (2,) first and past the last of the tiles that are done
@@ -107,8 +105,6 @@ def add_far_lobes(moments, first_moment, expansion, part, span, gain, out):
 
     Where the pattern has a null, errors of the far side lobes may leave less than nothing, which counts as nothing.
 
-    Parameters
-    ----------
     moments : (n, K) of blocks of beams
     first_moment, expansion : (B,) int64 and (B, rank) float32; the rank is a multiple of 4
     part : (2,) first and past the last of the beams

@@ -50,19 +50,15 @@ def sum_bodies(
 ):
     """Sum some of one sector's samples into columns and bins, for each body by itself, and all of them.
 
-    Parameters
-    ----------
+    Returns a plain tuple of LabelRoom that `cells` and `store` need, with what is in use already. Where they have less,
+    the runs are lost, and all samples must be summed again; the slots needed are a guess then.
+
     work .. elevation_pattern : as in `sum_footprints`, but for body_id
     body_id : (C, R) uint16, column by column, as a strip reads it
     label_column : (columns,) int64, with the wide ones, that of `LabelColumns` which each is part of
     cells : (slots, MOMENTS, K) float32, for the bodies of one column at a time; zeros before and after
     store : tuple of RunStore, to which runs are added
     sums, spans : as in `sum_footprints`, with the same bits
-
-    Returns
-    -------
-    plain tuple of LabelRoom that `cells` and `store` need, with what is in use already. Where they have less, the runs
-    are lost, and all samples must be summed again; the slots needed are a guess then
     """
     slots, numbers = np.empty((cells.shape[0], SLOT), np.int64), np.empty(plane_echo.shape[0] + 1, np.int64)
     samples = plane_echo, face_id, body_id, body_spans, Lattice(*lattice)
@@ -75,8 +71,6 @@ def sum_bodies(
 def _sum_strips(work, samples, strips, spreading, label_column, room, sums, spans):
     """Do as `sum_bodies`.
 
-    Parameters
-    ----------
     samples : plane_echo, face_id, body_id, body_spans, lattice
     spreading : bins, spread, elevation_pattern
     room : slots, (slots, SLOT) int64, and body numbers, (rows + 1,) int64, which are overwritten; cells; store

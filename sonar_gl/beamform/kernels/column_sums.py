@@ -47,8 +47,6 @@ def sum_footprints(
     the slow length of the ray: the share before r is that of two convolved boxes, exact for planes. It is cut
     at the aperture, at columns and at edges of planes.
 
-    Parameters
-    ----------
     work : of `make_work`, overwritten
     plane_echo, face_id, body_id : image of the samples of all sectors, as in `ViewSamples`
     body_spans : of `ViewSamples`; of no length if it or `body_id` is not known
@@ -115,7 +113,7 @@ def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, sh
         _clear_row(c, sums, spans)
     per_metre = K / (bin_edges_m[K] - bin_edges_m[0])
     for n in range(points.shape[0]):
-        c = _column_at(column_edges_rad, points[n, 0])
+        c = np.searchsorted(column_edges_rad, points[n, 0], side="right") - 1  # or outside
         bin_ = math.floor((points[n, 2] - bin_edges_m[0]) * per_metre)
         if not (0 <= c < n_columns and 0 <= bin_ < K and abs(points[n, 1]) < top):
             continue
@@ -135,25 +133,10 @@ def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, sh
         spans[c, 0], spans[c, 1] = min(spans[c, 0], k), max(spans[c, 1], k + 1)
 
 
-@compiled
-def _column_at(column_edges_rad, azimuth_rad):
-    """Return the column that holds an azimuth; −1 and the number of columns outside."""
-    low, high = 0, column_edges_rad.shape[0]
-    while low < high:
-        middle = (low + high) // 2
-        if azimuth_rad < column_edges_rad[middle]:
-            high = middle
-        else:
-            low = middle + 1
-    return low - 1
-
-
 @uncounted
 def share_wide_columns(part, wide_edges, shares, sums, spans):
     """Add what some wide columns hold to their columns.
 
-    Parameters
-    ----------
     part : (2,) first and past the last of the wide columns, counted on from the others
     wide_edges : (W + 1,) column where each of the wide columns begins, and past the last column
     shares : (columns,) float32, the share of its wide column that a column takes

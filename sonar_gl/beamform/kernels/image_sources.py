@@ -109,16 +109,12 @@ def estimate_reflection(
 ):
     """Estimate, on a coarse grid of directions, how much intensity reflectors return, and the direct echo.
 
-    Parameters
-    ----------
+    Returns the direct echo.
+
     view : tuple of ViewIndex
     planes, are_bodies, reflected_intensities : (n, 4), (n,) and (n, sines) of n reflectors, as in `Reflection`
     elevation_pattern : as in `sum_footprints`
     reflected : (n,) float64, overwritten; in the unit of the direct echo
-
-    Returns
-    -------
-    the direct echo
     """
     view = ViewIndex(*view)
     plane_echo, sectors = view
@@ -169,8 +165,6 @@ def estimate_reflection(
 def expect_imaged(samples, lattice, sectors, plane, step, range_max_m, elevation_pattern, sums):
     """Find how many samples the sonar's image behind a plane would have on what the sonar sees, if nothing hid it.
 
-    Parameters
-    ----------
     samples : (plane_echo, body_id) of `SectorSamples` of the sonar, in `whole_rows`
     lattice : of `SectorSamples`
     sectors : of ViewIndex of the sonar. Its image has the same, mirrored
@@ -219,15 +213,11 @@ def expect_imaged(samples, lattice, sectors, plane, step, range_max_m, elevation
 def sum_image_source(work, plane_echo, lattice, strips, bins, elevation_pattern, reflection, sums, spans):
     """Add some of one sector's samples to columns and bins, as a planar reflector returns them.
 
-    Parameters
-    ----------
+    Returns whether any of the samples is seen in the reflector.
+
     work .. elevation_pattern : as in `sum_footprints`; samples of the sonar, or of its image
     reflection : tuple of Reflection
     sums, spans : as in `sum_footprints`; the rows of these strips are added to
-
-    Returns
-    -------
-    whether any of the samples is seen in the reflector
     """
     lattice, strips, bins = Lattice(*lattice), StripTable(*strips), BinTable(*bins)
     reflection = Reflection(*reflection)
@@ -310,12 +300,7 @@ def _find_rays_by_reflector(work, strip, frame, reflection):
     line_u, tilt, from_image = work[LINE_U], work[TILT], reflection.from_image
     reflected_intensity = reflection.reflected_intensity
     there_x, there_y, there_z, side = work[X], work[Y], work[Z], work[SIDE]
-    leg_x, leg_y, leg_z, reflected = (
-        work[LEG_X],
-        work[LEG_Y],
-        work[LEG_Z],
-        work[REFLECTED],
-    )
+    leg_x, leg_y, leg_z, reflected = work[LEG_X], work[LEG_Y], work[LEG_Z], work[REFLECTED]
     bistatic, own, ceiling, plane = work[BISTATIC], frame.own, frame.ceiling, reflection.plane
     x_0, x_u, x_v, y_0, y_u, y_v = own[0, 0], own[0, 1], own[0, 2], own[1, 0], own[1, 1], own[1, 2]
     z_0, z_u, z_v = own[2, 0], own[2, 1], own[2, 2]
@@ -352,9 +337,7 @@ def _find_rays_by_reflector(work, strip, frame, reflection):
 def _keep_seen(work, strip, reflection):
     """Set the reflected intensity to 0 where the sonar does not see the reflector; turn to the other one.
 
-    Returns
-    -------
-    first, last : samples that are reflected, from the first to before the last
+    Returns first, last: samples that are reflected, from the first to before the last.
     """
     plane, is_body, first, last = reflection.plane, reflection.is_body, strip.last, strip.first
     for m in range(strip.first, strip.last):
@@ -378,19 +361,12 @@ def _keep_seen(work, strip, reflection):
 def _find_bistatic(work, begin, end, elevation_pattern):
     """Find the bistatic echo per steradian of a strip's samples that the other one sees, from `begin` to before `end`.
 
-    Returns
-    -------
-    first, last : samples with such an echo, from the first to before the last
+    Returns first, last: samples with such an echo, from the first to before the last.
     """
     border, line_u, tilt, echo = work[BORDER], work[LINE_U], work[TILT], work[ECHO]
     there_x, there_y, there_z, side = work[X], work[Y], work[Z], work[SIDE]
     # directions are no longer needed: their rows take the sines of elevation here and there
-    seen, bistatic, sine_here, sine_there = (
-        work[SEEN],
-        work[BISTATIC],
-        work[LEG_X],
-        work[LEG_Y],
-    )
+    seen, bistatic, sine_here, sine_there = work[SEEN], work[BISTATIC], work[LEG_X], work[LEG_Y]
     for m in range(uint64(begin), uint64(end)):
         x, y, z = there_x[m], there_y[m], there_z[m]
         range_there = math.sqrt(x * x + y * y + z * z)
@@ -443,24 +419,16 @@ def find_single_bounce(work, strip, first, last, other):
         r_u += there_y / range_there * ((e1 + c1 * vc) * x_u - b1 * x)
         r_u += there_z / range_there * ((e2 + c2 * vc) * x_u - b2 * x)
         # up and down, where planes may extend far: at both ends
-        low_x, high_x = (
-            1.0 / max(rest[m] + along[m] * low, HORIZON),
-            1.0 / max(rest[m] + along[m] * high, HORIZON),
-        )
+        low_x = 1.0 / max(rest[m] + along[m] * low, HORIZON)
+        high_x = 1.0 / max(rest[m] + along[m] * high, HORIZON)
         end_u = line_u[m] + tilt[m] * low
-        tx, ty, tz = (
-            (a0 - b0 * end_u + c0 * low) * low_x + d0,
-            (a1 - b1 * end_u + c1 * low) * low_x + d1,
-            (a2 - b2 * end_u + c2 * low) * low_x + d2,
-        )
+        tx, ty = (a0 - b0 * end_u + c0 * low) * low_x + d0, (a1 - b1 * end_u + c1 * low) * low_x + d1
+        tz = (a2 - b2 * end_u + c2 * low) * low_x + d2
         end_length = math.sqrt(1.0 + end_u * end_u + low * low)
         low_s = 2.0 / (end_length * low_x + math.sqrt(tx * tx + ty * ty + tz * tz))
         end_u = line_u[m] + tilt[m] * high
-        tx, ty, tz = (
-            (a0 - b0 * end_u + c0 * high) * high_x + d0,
-            (a1 - b1 * end_u + c1 * high) * high_x + d1,
-            (a2 - b2 * end_u + c2 * high) * high_x + d2,
-        )
+        tx, ty = (a0 - b0 * end_u + c0 * high) * high_x + d0, (a1 - b1 * end_u + c1 * high) * high_x + d1
+        tz = (a2 - b2 * end_u + c2 * high) * high_x + d2
         end_length = math.sqrt(1.0 + end_u * end_u + high * high)
         high_s = 2.0 / (end_length * high_x + math.sqrt(tx * tx + ty * ty + tz * tz))
         work[S, m], work[A, m], work[B, m] = s, abs(r_u) * s * s * across / 4, abs(high_s - low_s) / 2
@@ -475,8 +443,6 @@ def find_single_bounce(work, strip, first, last, other):
 def add_interference(work, strip, first, last, own, interference):
     """Multiply single-bounce echoes by 1 + the correlation of their two bearings in the array.
 
-    Parameters
-    ----------
     first, last : samples of the strip, from the first to before the last
     own : of SectorFrame
     interference : Interference

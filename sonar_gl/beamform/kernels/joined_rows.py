@@ -72,25 +72,20 @@ def find_faces(work, face_id, columns, bottom_row, n):
 
 
 @uncounted
-def divide_faces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_cones):
+def divide_faces(work, plane_echo, lattice, bottom_row, n_faces, limits):
     """Divide the rows of each face into pieces, each of which one footprint stands for.
 
     Pieces are as high as `piece_rad` and `piece_m` let them, and as PIECE_CHANGE does; those of one face have as many
     rows, or one more. Near the place where the plane is nearest they have fewer, see SLOPE_CHANGE. Row PIECE of `work`
     gets the row where each begins, and where the last one ends.
 
-    Parameters
-    ----------
-    limits : `piece_rad` and `piece_m` of BinTable, height of a row in v
+    Returns the number of pieces.
 
-    Returns
-    -------
-    number of pieces
+    limits : `piece_rad` and `piece_m` of BinTable, height of a row in v
     """
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
     start, sample, v_ray, piece = work[START], work[SAMPLE], work[V_RAY], work[PIECE]
-    v, columns, bottom = lattice.v, lattice.columns, uint64(bottom_row)
-    v0, vi, vj, n, (piece_rad, piece_m, rise) = v[0], v[1], v[2], 0, limits
+    columns, bottom, n, (piece_rad, piece_m, rise) = lattice.columns, uint64(bottom_row), 0, limits
     rows_per_v = 1.0 / rise
     for face in range(uint64(n_faces)):
         low, past = np.int64(start[face]), np.int64(start[face + uint64(1)])
@@ -111,16 +106,13 @@ def divide_faces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_con
             per_row = max(
                 rise / min(piece_rad, math.sqrt(piece_m * depth_inverse)), change / (PIECE_CHANGE * n_rows)
             )
-            nearest_v = _find_nearest(work, plane_echo, lattice, middle, bottom_row, are_cones)
+            nearest_v = _find_nearest(work, plane_echo, lattice, middle, bottom_row)
         # pieces that are alike, and how many of them have a row more than the others
         n_left = max(math.ceil(n_rows * per_row - 1e-9), 1)
         length, n_longer = n_rows // n_left, n_rows % n_left
         longest = length + (n_longer > 0)
         while low < past:
-            apart = v_ray[uint64(low)]
-            if not are_cones:
-                apart = v0 + vi * np.int64(sample[uint64(low)]) + vj * (low + bottom_row)
-            apart = nearest_v - apart
+            apart = nearest_v - v_ray[uint64(low)]
             n_graded = abs(apart) * (TOWARDS_NEAREST if apart > 0.0 else FROM_NEAREST) * rows_per_v
             piece[uint64(n)], n = low, n + 1
             if n_graded < longest:
@@ -136,15 +128,12 @@ def divide_faces(work, plane_echo, lattice, bottom_row, n_faces, limits, are_con
 
 
 @uncounted
-def _find_nearest(work, plane_echo, lattice, m, bottom_row, are_cones):
+def _find_nearest(work, plane_echo, lattice, m, bottom_row):
     """Return v where the plane that a row meets is nearest along its strip: the zero of D in `bend_footprints`."""
     work = as_table(work, WORK_ROWS, WORK_COLUMNS)
-    u, v = lattice.u, lattice.v
-    i, j = np.int64(work[SAMPLE, uint64(m)]), m + bottom_row
+    u, i, j = lattice.u, np.int64(work[SAMPLE, uint64(m)]), m + bottom_row
     row, column = uint64(j), uint64(min(max(i, 0), lattice.columns - 1))
-    line, lean, v_ray = work[LINE_U, 0], 0.0, v[0] + v[1] * i + v[2] * j
-    if are_cones:
-        line, lean, v_ray = work[LINE_U, uint64(m)], work[TILT, uint64(m)], work[V_RAY, uint64(m)]
+    line, lean, v_ray = work[LINE_U, uint64(m)], work[TILT, uint64(m)], work[V_RAY, uint64(m)]
     slope_u, slope_v = plane_echo[row, column, 1], plane_echo[row, column, 2]
     rest = plane_echo[row, column, 0] + slope_u * (line - u[0] - u[1] * i - u[2] * j) - slope_v * v_ray
     along = slope_v + slope_u * lean
@@ -153,7 +142,7 @@ def _find_nearest(work, plane_echo, lattice, m, bottom_row, are_cones):
 
 
 @uncounted
-def gather_pieces(work, plane_echo, lattice, bottom_row, n, are_cones):
+def gather_pieces(work, plane_echo, lattice, bottom_row, n):
     """Gather what stands for the rows of each of n pieces; return the first and the last with an echo.
 
     The middle row tells the plane, which is that of all rows; and the echo is that of the first, the middle and the
@@ -164,26 +153,18 @@ def gather_pieces(work, plane_echo, lattice, bottom_row, n, are_cones):
     line_u, tilt, v_lowest, v_highest = work[LINE_U], work[TILT], work[V_LOWEST], work[V_HIGHEST]
     q, rest, along, along_u, echo = work[Q], work[REST], work[ALONG], work[ALONG_U], work[ECHO]
     echo_rise, echo_below = work[ECHO_RISE], work[ECHO_BELOW]
-    u, v, columns, bottom = lattice.u, lattice.v, lattice.columns, np.int32(bottom_row)
-    u0, ui, uj, v0, vi, vj = u[0], u[1], u[2], v[0], v[1], v[2]
-    line, most = line_u[0], columns - 1
+    u, columns, bottom = lattice.u, lattice.columns, np.int32(bottom_row)
+    u0, ui, uj, most = u[0], u[1], u[2], columns - 1
     # In place: no row is read after a piece is written there, since each piece has a row of its own. Nothing but the
     # reads, as in `_gather_samples`
     for k in range(uint64(n)):
         low, high = np.int32(piece[k]), np.int32(piece[k + uint64(1)]) - np.int32(1)
         m = np.int32((low + high) >> 1)
-        i, i_low, i_high = (
-            np.int32(sample[uint64(m)]),
-            np.int32(sample[uint64(low)]),
-            np.int32(sample[uint64(high)]),
-        )
+        i, i_high = np.int32(sample[uint64(m)]), np.int32(sample[uint64(high)])
+        i_low = np.int32(sample[uint64(low)])
         j, j_low, j_high = m + bottom, low + bottom, high + bottom
-        if are_cones:
-            v_lowest[k], v_highest[k] = v_ray[uint64(low)], v_ray[uint64(high)]
-            line_u[k], tilt[k], v_ray[k] = line_u[uint64(m)], tilt[uint64(m)], v_ray[uint64(m)]
-        else:
-            v_lowest[k], v_highest[k] = v0 + vi * i_low + vj * j_low, v0 + vi * i_high + vj * j_high
-            line_u[k], tilt[k], v_ray[k] = line, 0.0, v0 + vi * i + vj * j
+        v_lowest[k], v_highest[k] = v_ray[uint64(low)], v_ray[uint64(high)]
+        line_u[k], tilt[k], v_ray[k] = line_u[uint64(m)], tilt[uint64(m)], v_ray[uint64(m)]
         sample[k], row_of[k] = i, j
         row, column = uint64(j), uint64(min(max(i, 0), most))
         q[k], along_u[k] = plane_echo[row, column, 0], plane_echo[row, column, 1]

@@ -148,18 +148,14 @@ def spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp):
             continue
         inner, outer = bins_s[uint64(first + 1)], bins_s[last]
         rise = work[SLANT, m] / max(work[A, m], work[B, m], LEAST_WIDTH * s)
-        slanted, even_echo = (
-            max(1.0 + rise * ((near + inner) / 2 - s), 0.0),
-            max(half_height * (near * near - inner**2), 0.0),
-        )
+        even_echo = max(half_height * (near * near - inner**2), 0.0)
+        slanted = max(1.0 + rise * ((near + inner) / 2 - s), 0.0)
         echo = even_echo * slanted
         sums[row, first] += np.float32(echo)
         range_ = np.float32((2 * half_height * (near - inner) - even_echo * middle_m[first]) * slanted)
         _add_moments(cells, slot, first, np.float32(echo), *_angles_at(work, m, (near + inner) / 2), range_)
-        slanted, even_echo = (
-            max(1.0 + rise * ((outer + far) / 2 - s), 0.0),
-            max(half_height * (outer**2 - far * far), 0.0),
-        )
+        even_echo = max(half_height * (outer**2 - far * far), 0.0)
+        slanted = max(1.0 + rise * ((outer + far) / 2 - s), 0.0)
         echo = even_echo * slanted
         sums[row, last] += np.float32(echo)
         range_ = np.float32((2 * half_height * (outer - far) - even_echo * middle_m[last]) * slanted)
@@ -173,10 +169,8 @@ def spread_moments(work, start, stop, cells, slot, sums, row, bins, short_ramp):
         else:
             for k in range(uint64(first + 1), last):
                 sums[row, k] += (height + steepness * (middle_s32[k] - middle_s)) * density32[k]
-        elevation_rise, incidence_rise = (
-            np.float32(work[ELEVATION_RISE, m]),
-            np.float32(work[INCIDENCE_RISE, m]),
-        )
+        elevation_rise = np.float32(work[ELEVATION_RISE, m])
+        incidence_rise = np.float32(work[INCIDENCE_RISE, m])
         for k in range(uint64(first + 1), last):
             off = middle_s32[k] - middle_s
             echo32 = (height + steepness * off) * density32[k]

@@ -43,8 +43,6 @@ class BinTable(NamedTuple):
 def bin_table(bin_edges_m: np.ndarray, elevation_fov_rad: float = math.inf) -> BinTable:
     """Return the tables of range bins.
 
-    Parameters
-    ----------
     bin_edges_m : (K + 1,) metres, rising
     elevation_fov_rad : the aperture in elevation, where the pattern changes within it
     """

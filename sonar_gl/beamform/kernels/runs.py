@@ -44,88 +44,33 @@ class Runs(NamedTuple):
 
 
 def sort_runs(stores, n_columns: int, wide_edges: np.ndarray, wide_shares: np.ndarray) -> tuple:
-    """Return the Runs of both halves, by body and column; each column takes its share of the run of a wide one.
+    """Return the plain Runs of both halves, by body and column; each column takes its share of the run of a wide one.
 
-    Parameters
-    ----------
     stores : of each half, tuple of RunStore
     n_columns, wide_edges, wide_shares : of `LabelColumns`
-
-    Returns
-    -------
-    plain tuple of Runs
     """
-    n, highest = _count_runs(stores, n_columns, wide_edges)
-    bodies, begins = np.empty(highest + 1, np.int64), np.empty(highest + 2, np.int64)
-    table, owner, share = np.empty((n, RUN), np.int64), np.empty(n, np.int64), np.empty(n, np.float32)
-    n_bodies = _sort_runs(stores, n_columns, wide_edges, wide_shares, bodies, begins, table, owner, share)
-    return bodies[:n_bodies], begins[: n_bodies + 1], table, owner, share, (stores[0][2], stores[1][2])
-
-
-@compiled
-def _count_runs(stores, n_columns, wide_edges):
-    """Return how many runs there are, those of wide columns once for each column, and the highest number of a body."""
-    first, second = RunStore(*stores[0]), RunStore(*stores[1])
-    n_first, n_all = first.n_runs, first.n_runs + second.n_runs
-    n, highest = 0, 0
-    for i in range(n_all):
-        run = first.runs[i] if i < n_first else second.runs[i - n_first]
-        wide = run[COLUMN] - n_columns
-        n += 1 if wide < 0 else wide_edges[wide + 1] - wide_edges[wide]
-        highest = max(highest, run[BODY])
-    return n, highest
-
-
-@compiled
-def _sort_runs(stores, n_columns, wide_edges, wide_shares, bodies, begins, table, owner, share):
-    """Fill the arrays of Runs, of which `bodies` and `begins` may be longer; return the number of bodies."""
-    first, second = RunStore(*stores[0]), RunStore(*stores[1])
-    n_first, n_all = first.n_runs, first.n_runs + second.n_runs
-    # in their order, one for each column: which run, its column, its body
-    entry = np.empty((3, table.shape[0]), np.int64)
-    n = 0
-    for i in range(n_all):
-        run = first.runs[i] if i < n_first else second.runs[i - n_first]
-        wide = run[COLUMN] - n_columns
-        begin, end = (run[COLUMN], run[COLUMN] + 1) if wide < 0 else (wide_edges[wide], wide_edges[wide + 1])
-        for column in range(begin, end):
-            entry[0, n], entry[1, n], entry[2, n] = i, column, run[BODY]
-            n += 1
-    # by counting, and by the least significant key first: runs of one body and column stay in their order
-    order, sorted_ = np.arange(n), np.empty(n, np.int64)
-    for key, n_keys in ((1, n_columns), (2, bodies.shape[0])):
-        places = np.zeros(n_keys + 1, np.int64)
-        for i in range(n):
-            places[entry[key, i] + 1] += 1
-        for k in range(n_keys):
-            places[k + 1] += places[k]
-        for i in range(n):
-            at = entry[key, order[i]]
-            sorted_[places[at]] = order[i]
-            places[at] += 1
-        order, sorted_ = sorted_, order
-    n_bodies = 0
-    for i in range(n):
-        k = entry[0, order[i]]
-        run = first.runs[k] if k < n_first else second.runs[k - n_first]
-        for number in range(RUN):
-            table[i, number] = run[number]
-        is_wide, column = run[COLUMN] >= n_columns, entry[1, order[i]]
-        table[i, COLUMN], owner[i] = column, int(k >= n_first)
-        share[i] = wide_shares[column] if is_wide else np.float32(1.0)
-        if i == 0 or table[i, BODY] != table[i - 1, BODY]:
-            bodies[n_bodies], begins[n_bodies] = table[i, BODY], i
-            n_bodies += 1
-    begins[n_bodies] = n
-    return n_bodies
+    first, second = (RunStore(*one) for one in stores)
+    runs = np.concatenate([first.runs[: first.n_runs], second.runs[: second.n_runs]])
+    # wide columns, or the last entry of a table for others, which are one column
+    wide = np.maximum(runs[:, COLUMN] - n_columns, -1)
+    begins = np.where(wide < 0, runs[:, COLUMN], wide_edges[wide])
+    widths = np.append(np.diff(wide_edges), 1)[wide]
+    number = np.repeat(np.arange(len(runs)), widths)
+    column = begins[number] + np.arange(len(number)) - np.repeat(np.cumsum(widths) - widths, widths)
+    order = np.lexsort((column, runs[number, BODY]))  # runs of one body and column stay in their order
+    number, column = number[order], column[order]
+    table = runs[number]
+    table[:, COLUMN] = column
+    bodies, begins = np.unique(table[:, BODY], return_index=True)
+    share = np.where(wide[number] < 0, np.float32(1), wide_shares[column])
+    owner = (number >= first.n_runs).astype(np.int64)
+    return bodies, np.append(begins, len(table)), table, owner, share, (first.pool, second.pool)
 
 
 @compiled
 def sum_body_echo(runs, response, gain, half, body_echo):
     """Sum the echo of a half of each body's runs in all beams.
 
-    Parameters
-    ----------
     runs : tuple of Runs
     response : (columns of `LabelColumns`,) float64, what all beams together return of the echo in a column
     gain : (K,)

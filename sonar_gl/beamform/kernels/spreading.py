@@ -41,8 +41,6 @@ def spread_footprints(work, start, stop, sums, spans, c, bins, short_ramp):
 
     On a plane the cosine of incidence is proportional to s, and so is the energy's density.
 
-    Parameters
-    ----------
     work : of `make_work`, of which the rows ENERGY, S, A, B and SLANT, from `start` to before `stop`, are read
     spans : (columns, 2), of rows of sums: extended over the bins that are added to, first and past last
     bins : BinTable

@@ -100,8 +100,6 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
     This is the walk over samples that all sums share. It is no generator, since Numba never frees the arrays
     that a generator holds.
 
-    Parameters
-    ----------
     work : of `make_work`, overwritten
     plane_echo, face_id : (R, C, 4) float32 and (R, C) int32, as in `SectorSamples`; contiguous, see `whole_rows`
     lattice, strips : Lattice and StripTable
@@ -124,10 +122,10 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
         n = max(min(int((v_high - high_v) / rise) + 3, R - 1) - bottom_row + 1, 0)
         if strips.are_cones:
             lay_on_cone(work, lattice, middle, bottom_row, n)
+        else:
+            _lay_upright(work, lattice, middle, bottom_row, n)
         # without rows the middle one lies anywhere, also far beyond the samples
         if n > 0 and face_id.shape[0] > 0 and rise <= JOINED_SHARE * piece[0]:
-            if not strips.are_cones:
-                _find_upright(work, lattice, middle, bottom_row, n)
             n_faces = find_faces(work, face_id, lattice.columns, bottom_row, n)
             # pieces that a face as far as the middle one would have, and one more for each
             i = min(max(np.int64(work[SAMPLE, uint64(n >> 1)]), 0), lattice.columns - 1)
@@ -135,13 +133,9 @@ def find_strip(work, plane_echo, face_id, lattice, strips, p, q_unseen, piece):
             height = min(piece[0], math.sqrt(piece[1] * depth_inverse)) if depth_inverse > 0.0 else piece[0]
             are_joined = n_faces + n * rise / height <= JOINED_SHARE * n
         if are_joined:
-            if not strips.are_cones:
-                work[LINE_U, 0] = middle
-            n = divide_faces(work, plane_echo, lattice, bottom_row, n_faces, (*piece, rise), strips.are_cones)
-            first, last = gather_pieces(work, plane_echo, lattice, bottom_row, n, strips.are_cones)
+            n = divide_faces(work, plane_echo, lattice, bottom_row, n_faces, (*piece, rise))
+            first, last = gather_pieces(work, plane_echo, lattice, bottom_row, n)
         else:
-            if not strips.are_cones:
-                _lay_upright(work, lattice, middle, bottom_row, n)
             first, last = _gather_samples(work, plane_echo, lattice, bottom_row, n)
         if first <= last:
             limits = q_unseen, v_low, v_high
@@ -241,16 +235,6 @@ def lay_on_cone(work, lattice, k, bottom_row, n):
         slope = -(sine - cosine * uc) * vc / max(cosine * w + sine * uc, LEAST_AHEAD)
         sample[m], row[m], v_ray[m] = i, j, vc
         line_u[m], tilt[m] = uc - slope * vc, slope
-
-
-@uncounted
-def _find_upright(work, lattice, middle, bottom_row, n):
-    """Find the columns alone of the samples nearest to an upright strip, n rows from `bottom_row` on."""
-    work = as_table(work, WORK_ROWS, WORK_COLUMNS)
-    sample, u = work[SAMPLE], lattice.u
-    nearest, step = (middle - u[0]) / u[1] + 0.5, u[2] / u[1]
-    for m in range(uint64(n)):
-        sample[m] = np.int32(nearest - step * (np.int32(m) + np.int32(bottom_row)))
 
 
 @uncounted

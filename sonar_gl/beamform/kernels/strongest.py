@@ -86,8 +86,6 @@ class Panel(NamedTuple):
 def find_strongest(runs, tiles, part, n_columns, ping, strongest):
     """Find in each bin of some beams the body with the strongest echo, and what is known of that echo.
 
-    Parameters
-    ----------
     runs, tiles, ping, strongest : tuples of Runs, BeamTiles, PingEcho and StrongestEcho
     part : (2,) first and past the last of the tiles that are done
     n_columns : of `LabelColumns`
@@ -123,8 +121,6 @@ def _pasts_of(tiles, t0, t1):
 def _find_in_tiles(runs, tiles, pasts, part, columns, panel, ping, room, strongest):
     """Find the strongest body in each bin of some tiles' beams, one block of bins after the other.
 
-    Parameters
-    ----------
     pasts : of `_pasts_of`
     part : first and past the last of the tiles
     columns : first and past the last of these tiles, and `n_columns` of `LabelColumns`

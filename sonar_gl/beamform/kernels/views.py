@@ -53,8 +53,6 @@ def find_surfaces(x, y, z, first, last, view, out):
     One call finds all of them: it takes as long to count the references to a view's arrays as to look into it, longer
     where two threads do.
 
-    Parameters
-    ----------
     x, y, z : (n,) directions, of which those from `first` to before `last` are read
     view : tuple of ViewIndex
     out : (n,) 1 over the distance of the surface, in lengths of the direction; 0 where there is none, −1 outside

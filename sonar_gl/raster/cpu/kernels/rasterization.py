@@ -333,10 +333,8 @@ def _find_corners(points, at, p, near_m, corners):
 def _cut_by_corners(corners, cuts):
     """Fill three of `cuts` with a triangle's half-planes, whatever lies behind the sonar.
 
-    Returns
-    -------
-    determinant : its sign tells the side that is seen; 0 of a triangle that is seen edge on
-    form : (q0, q_column, q_row) of 1/x
+    Returns the determinant, whose sign tells the side that is seen, 0 of a triangle that is seen edge on; and (q0,
+    q_column, q_row) of 1/x.
     """
     determinant = 0.0
     for o in range(3):  # the plane through the sonar and an edge
@@ -407,16 +405,11 @@ def _draw_rows(room, n_cuts, n_on_grid, form, patch, view, window, bottom, top, 
 def _draw_in_front(scratch, a, b, c, patch, view, window, t, buffer, room):
     """Draw a triangle of which no corner is nearer than the near plane, by its corners on the grid.
 
-    Parameters
-    ----------
+    Returns whether any sample may show it, and (q0, q_column, q_row) of its 1/x, if it is seen.
+
     scratch, patch, view, buffer, room : Scratch, DrawnPatch, SectorGeometry, VisibilityBuffer and RasterRoom
     a, b, c : corners, places in `scratch`
     t : row of `Triangles`
-
-    Returns
-    -------
-    is_seen : whether any sample may show it
-    form : (q0, q_column, q_row) of its 1/x, if it is seen
     """
     ax, ay = scratch.rounded_columns[a], scratch.rounded_rows[a]
     bx, by = scratch.rounded_columns[b], scratch.rounded_rows[b]
@@ -488,17 +481,13 @@ def _write_triangle(form, view, vertices, start, f, faces, body, body_rows, tria
 def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, triangles, room):
     """Draw the triangles of some patches into a visibility buffer.
 
-    Parameters
-    ----------
+    Returns how many triangles were drawn.
+
     chosen : (K, 2) patch and body, of `choose_patches`; `triangles` must have room for all of their faces
     patches, vertices, placed, view, buffer, triangles, room : tuples of PatchFaces, Vertices, PlacedBodies,
         SectorGeometry, VisibilityBuffer and Triangles, and RasterRoom
     window : first and last column, first and last row of the buffer, in the sector
     limits : (2,) near and far plane, metres
-
-    Returns
-    -------
-    how many triangles were drawn
     """
     first_vertex, n_vertices, first_face, n_faces, faces, boxes = patches
     matrices, body_rows, is_cut, closed, outside, plane = placed

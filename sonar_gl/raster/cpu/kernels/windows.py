@@ -28,8 +28,6 @@ def draw_windows(
 
     One call draws all sectors: to hand arrays over takes as long as to draw a sector of side lobes.
 
-    Parameters
-    ----------
     chosen, found : of `choose_in_sectors`; windows lie in the image side by side
     patches, vertices, placed, limits : as for `rasterize`
     views : of each sector, tuple of SectorGeometry, whose parts are stacked
