@@ -72,9 +72,7 @@ MAX_STEER_DEG = 80.0  # of a straight array: nearer to its own line a beam has n
 GAUSSIAN_SUPPORT_LEVEL = 1e-4  # one-way power in azimuth at which a Gaussian beam is cut
 # Entries of the table of `receive_correlation`, which is interpolated: off by 2e-4 for a line array without taper.
 CORRELATIONS = 2049
-SKIRTS_LEVEL = (
-    0.1  # two-way power in elevation below which samples are coarse, in the main lobe and the side lobes
-)
+SKIRTS_LEVEL = 0.1  # two-way power in elevation below which samples are coarse, also in the main lobe
 ELEVATION_SUPPORT_LEVEL = 1e-3  # two-way power in elevation at which the main lobe is taken to end
 MAX_ELEVATION_DEG = 85.0  # above the boresight: a perspective view cannot cover much more
 # Two-way power in elevation below which nothing is received: the first bottom return comes from so near that a level
@@ -680,9 +678,7 @@ class Acoustics:
         2.0
         """
         cells = resolution_cell_m(*self.pulse_response(sonar)) / sonar.bin_size_m if self.pulse else 1.0
-        return (
-            cells if cells > 1 + 1e-9 else 1.0
-        )  # rounding may make a cell that is as long as a bin a little longer
+        return cells if cells > 1 + 1e-9 else 1.0  # rounding may make a cell as long as a bin a little longer
 
     def pulse_response(self, sonar: Sonar) -> PulseResponse:
         """Return bandwidth and taper of the pulse, and the speed of sound.

@@ -253,9 +253,8 @@ class ArrayPattern:
         """Return |u| at which the main lobe first falls to a one-way power; it may exceed 1."""
         if self.shape == "gaussian":
             return self._edge_sine * math.sqrt(math.log(level) / math.log(self._edge_level))
-        return (
-            self._edge_sine * self._edge_and_elements(level)[0] / self._edge_and_elements(self._edge_level)[0]
-        )
+        x, edge = (self._edge_and_elements(one)[0] for one in (level, self._edge_level))
+        return self._edge_sine * x / edge
 
     def null_sine(self) -> float:
         """Return |u| of 1 in u L/λ, the distance of two far nulls and the shortest period of the power.

@@ -92,13 +92,12 @@ class _Elevation(NamedTuple):
 def _solid_angles(sonar: Sonar, acoustics: Acoustics, axis_rad: float) -> BeamSolidAngles:
     are_cones, reach_rad = acoustics.has_cones(sonar), acoustics.receive_support_rad(sonar)
     beams = BeamShape(reach_rad, acoustics.beam_pattern == "box", are_cones=are_cones)
-    half_turn, half_aperture = (
+    half_turn, lobe_sine = (
         math.pi / 2 if are_cones else math.pi,
-        math.radians(sonar.elevation_fov_deg) / 2,
+        math.sin(math.radians(sonar.elevation_fov_deg) / 2),
     )
     max_sine = math.sin(math.radians(acoustics.max_elevation_deg(sonar)))
     one_way, two_way = acoustics.one_way_elevation_pattern(sonar), acoustics.two_way_elevation_pattern(sonar)
-    lobe_sine = math.sin(half_aperture)
     receive = echo = _Elevation(np.ones_like, max_sine, lobe_sine)  # a box
     if one_way is not None:
         receive, echo = _Elevation(one_way.power, 1.0, lobe_sine), _Elevation(two_way, max_sine, lobe_sine)

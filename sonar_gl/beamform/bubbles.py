@@ -41,6 +41,8 @@ def _share(i, x, half):
 def _add_depth(points, grid, tau):
     """Share the extinction of bubbles among the cells about each, then sum τ over range.
 
+    Parameters
+    ----------
     points : (n, 5) of `attenuate_behind_bubbles`
     grid : (6,) azimuth, sine of elevation and range of the first cell, and their steps
     tau : (I, J, L + 1), zeros; at the far end of each layer
@@ -84,6 +86,8 @@ def _depth(azimuth, sine, r, grid, tau):
 def _attenuate(plane_echo, face_id, sectors, middle, grid, tau):
     """Multiply the echo of each sample of a view by exp(−2τ), in place, and give those that change faces of their own.
 
+    Parameters
+    ----------
     plane_echo, sectors : of ViewIndex; middle : azimuth from which those of the grid count
     face_id : of ViewSamples
     """

@@ -92,10 +92,6 @@ class LobeBlocks:
         """Number of functions."""
         return self.functions.shape[1]
 
-    def per_moment(self) -> np.ndarray:
-        """Return what beams receive of the moments of blocks of columns: (B, J rank)."""
-        return _expand(self.expansion, self.first_moment, self.coupling)
-
     def values(self, places) -> np.ndarray:
         """Return the functions at coordinates from the edge of a block on: (..., rank)."""
         return np.stack([np.interp(places, self.nodes, one) for one in self.functions.T], axis=-1)
@@ -265,9 +261,7 @@ def _fit(table: NodeTable, functions: np.ndarray) -> Fit:
 def _basis(table: NodeTable, n_steps: int) -> np.ndarray:
     """Return orthonormal functions, the constant and then those that describe the pattern best, best first.
 
-    Returns
-    -------
-    (n_steps + 1, RANKS[-1])
+    They are (n_steps + 1, RANKS[-1]) float64.
     """
     n = n_steps + 1
     windows = sliding_window_view(table.relative, n)[::BASIS_STRIDE]
@@ -306,6 +300,7 @@ def _blocks(table: NodeTable, fit: Fit, axes, start: float) -> LobeBlocks:
     )
 
 
+@_one_thread()
 def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_pattern=None) -> FarLobes:
     """Return the far side lobes over some columns, and the support's weights less their share of it.
 
@@ -315,8 +310,17 @@ def far_lobes(blocks: LobeBlocks, near: BeamWeights, column_edges_rad, transmit_
     near : of `beam_weights`, of whole columns
     transmit_pattern : of `beam_weights`
     """
-    with _one_thread():
-        return _far_lobes(blocks, near, np.asarray(column_edges_rad), transmit_pattern)
+    edges = np.asarray(column_edges_rad)
+    shares = _shares(blocks, near, edges, transmit_pattern)
+    return FarLobes(
+        near=beam_tiles(near.first, shares.corrected),
+        condense=_condensing_tiles(shares.means * shares.transmitted[:, None], shares.block),
+        couple=beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
+        first_moment=blocks.first_moment.astype(np.int64),
+        expansion=(blocks.expansion * shares.per_sr[:, None]).astype(np.float32),
+        # found once more for the few stages that need it: what it is made from takes four times the memory of the rest
+        response=partial(_column_response, blocks, near, edges, transmit_pattern),
+    )
 
 
 class _Shares(NamedTuple):
@@ -353,7 +357,7 @@ def _shares(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmit_p
     for node in range(len(nodes)):  # `np.add.at` takes ten times as long
         means[block[:, node], np.arange(C)] += values[:, node]
     by_moment = means.transpose(0, 2, 1).reshape(n_blocks * rank, C).astype(np.float32)
-    per_block = blocks.per_moment().astype(np.float32)
+    per_block = _expand(blocks.expansion, blocks.first_moment, blocks.coupling).astype(np.float32)
     columns = (near.first[:, None] + np.arange(near.weights.shape[1])) % C
     of_support = np.where(near.weights, _in_support(per_block, by_moment, near, block, rank), 0)
     as_upright_rad = near.columns_sr / near.height
@@ -366,20 +370,6 @@ def _shares(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmit_p
     less = of_support * transmitted[columns] * per_sr[:, None]
     corrected = (near.weights * (near.width_rad / width_rad)[:, None] - less).astype(np.float32)
     return _Shares(block, means, per_block, by_moment, columns, corrected, transmitted, per_sr)
-
-
-def _far_lobes(blocks: LobeBlocks, near: BeamWeights, edges: np.ndarray, transmit_pattern) -> FarLobes:
-    """Return what `far_lobes` does."""
-    shares = _shares(blocks, near, edges, transmit_pattern)
-    return FarLobes(
-        near=beam_tiles(near.first, shares.corrected),
-        condense=_condensing_tiles(shares.means * shares.transmitted[:, None], shares.block),
-        couple=beam_tiles(np.zeros(len(blocks.coupling), np.int64), blocks.coupling),
-        first_moment=blocks.first_moment.astype(np.int64),
-        expansion=(blocks.expansion * shares.per_sr[:, None]).astype(np.float32),
-        # found once more for the few stages that need it: what it is made from takes four times the memory of the rest
-        response=partial(_column_response, blocks, near, edges, transmit_pattern),
-    )
 
 
 def _in_support(per_block, by_moment, near: BeamWeights, block, rank: int) -> np.ndarray:

@@ -58,15 +58,11 @@ def over_lambert(bin_edges_m: np.ndarray, height_m: float, backscatter: Callable
     It is the mean of π σ / sin² g over the part of a bin that the surface reaches, weighted by Lambert's law: by
     sin² g, to which its echo adds up. 0 where a bin ends before the surface.
 
-    Parameters
-    ----------
+    Returns (K,) float64.
+
     bin_edges_m : (K + 1,) ranges, metres
     height_m : of the surface over the sonar
     backscatter : as for `sum_surface`
-
-    Returns
-    -------
-    (K,) float64
 
     >>> over_lambert(np.array([1.0, 2.0, 4.0]), 2.0, lambda g: 0.1 / np.pi * np.sin(g) ** 2).round(9).tolist()
     [0.0, 0.1]

@@ -237,10 +237,8 @@ def _fill_greatest(bodies, limits, gain, elevation_table, out):
         if abs(shown_rad) - beside_rad >= half_azimuth_rad:
             continue
         angle_sr = min(areas_m2[n] / max(nearest_m, distance_m / 2) ** 2, 4 * math.pi)
-        low_rad, high_rad = (
-            max(elevation_rad - half_rad, -math.pi / 2),
-            min(elevation_rad + half_rad, math.pi / 2),
-        )
+        low_rad = max(elevation_rad - half_rad, -math.pi / 2)
+        high_rad = min(elevation_rad + half_rad, math.pi / 2)
         weight = greatest_gain(gain, range_min_m, bin_size_m, nearest_m, farthest_m)
         weight *= greatest_pattern(elevation_table, math.sin(low_rad), math.sin(high_rad))
         out[n + 1] = angle_sr * weight * backscatter[n]
@@ -321,11 +319,8 @@ class BodyExtents:
         centres += state.poses[:, :3, 3] - pose[:3, 3]
         scales = scales_of(state.poses)
         spheres = np.ascontiguousarray(centres @ pose[:3, :3]), scales * self._columns.radii_m
-        bodies = (
-            *spheres,
-            scales**2 * self._columns.areas_m2,
-            self.greatest_backscatter(state) * state.present,
-        )
+        backscatter = self.greatest_backscatter(state) * state.present
+        bodies = *spheres, scales**2 * self._columns.areas_m2, backscatter
         _fill_greatest(bodies, _limits_of(reception), reception.gain, reception.elevation_table, out)
         return out
 

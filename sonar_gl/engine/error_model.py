@@ -173,12 +173,10 @@ class ErrorModel:
         # Most of the echo of a round smooth body is that of few samples, and none of it may have met the glint. Other
         # bodies of one reflectivity err along their outlines, which the number of samples tells of.
         shares = extents.glint_shares
-        counts = BodyCounts(
-            found.samples * shares,
-            found.echo,
-            found.of_strips,
-            found.unevenness * extents.by_face,
-            found.strands * shares,
+        counts = found._replace(
+            samples=found.samples * shares,
+            unevenness=found.unevenness * extents.by_face,
+            strands=found.strands * shares,
         )
         return TriedView(stage, view, echo, counts)
 

@@ -202,11 +202,8 @@ def _in_water(body: Body, body_pose, pose, surface_z_m: float | None) -> tuple[n
     """Return (V, 3) vertices in the sonar frame and (F, 3) faces of a body, without what is above a sonar's water."""
     from trimesh.intersections import slice_faces_plane
 
-    sonar_from_body = np.linalg.inv(pose) @ body_pose
-    vertices = (
-        np.asarray(body.surface.vertices, np.float64) @ sonar_from_body[:3, :3].T + sonar_from_body[:3, 3]
-    )
-    faces = np.asarray(body.surface.faces)
+    matrix, faces = np.linalg.inv(pose) @ body_pose, np.asarray(body.surface.faces)
+    vertices = np.asarray(body.surface.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     if surface_z_m is None or pose[2, 3] >= surface_z_m or not np.isfinite(vertices).all():
         return vertices, faces
     up = pose[2, :3]

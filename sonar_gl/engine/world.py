@@ -121,9 +121,8 @@ class World:
         """
         state, plume_poses = self._moved(bodies)
         if time_s is not None:
-            state = replace(
-                state, time_s=check_number("time_s", time_s, -MAX_TIME_S, MAX_TIME_S, "give seconds")
-            )
+            time_s = check_number("time_s", time_s, -MAX_TIME_S, MAX_TIME_S, "give seconds")
+            state = replace(state, time_s=time_s)
         if reflectivity is not None:
             state = replace(state, reflectivity=self._reflectivity(reflectivity))
         if not (with_bubbles and self.scene.plumes):
@@ -140,8 +139,8 @@ class World:
         last_s, last, bubbles = self._released
         is_same = time_s == last_s and len(last) == 2 * len(plumes)
         if not (is_same and all(one is other for one, other in zip(last, plumes + poses, strict=True))):
-            found = (
-                np.column_stack(plume.at(time_s, pose)) for plume, pose in zip(plumes, poses, strict=True)
+            found = map(
+                np.column_stack, (one.at(time_s, pose) for one, pose in zip(plumes, poses, strict=True))
             )
             bubbles = np.concatenate([np.empty((0, 4)), *found])
             if self.scene.surface_z_m is not None:

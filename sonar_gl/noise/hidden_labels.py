@@ -19,16 +19,12 @@ def without_hidden_labels(ping: Ping, power: np.ndarray | None) -> Ping:
     Shadows and sums of bodies stay. The echo of a body is its share of the bin's, or all of it where shares are not
     known. The mean power decides, whatever the noise of a ping is: labels do not depend on its seed.
 
-    Parameters
-    ----------
+    Returns `ping` itself if no bin is hidden; if its `meta` does not say "labels_above_noise", as where the level
+    of labels was stated; or if it has noise, so that its mean echo is not known.
+
     ping : Ping, to which no noise was added
     power : mean power of the receiver's noise, shape that broadcasts to (B, K), as of `receiver_power`; None for
         no such noise
-
-    Returns
-    -------
-    Ping, `ping` itself if no bin is hidden; if its `meta` does not say "labels_above_noise", as where the level of
-    labels was stated; or if it has noise, so that its mean echo is not known
     """
     if power is None or not ping.meta.get("labels_above_noise") or "noise" in ping.meta:
         return ping

@@ -24,10 +24,8 @@ def gamma_from_exponential(shape: float) -> tuple[np.ndarray, np.ndarray]:
 
     Both are exceeded with the same probability, e^-x.
 
-    Returns
-    -------
-    values, slopes : float32, the gamma variate at x = 2^-30 .. 2^6, 64 points per octave, and its change per
-        2^-17 of the distance between two points
+    Returns values, slopes: float32, the gamma variate at x = 2^-30 .. 2^6, 64 points per octave, and its change per
+    2^-17 of the distance between two points.
     """
     points = (np.arange((OCTAVES[1] - OCTAVES[0]) * POINTS + 1) + _FIRST).astype(np.int32) << _SHIFT
     x = points.view(np.float32).astype(np.float64)

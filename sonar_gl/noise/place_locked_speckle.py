@@ -85,14 +85,9 @@ def _pulse_reach(shape: FieldShape) -> int:
 def _shift_weights(shape: FieldShape, shift_bins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the interpolation that moves the fields of B beams along range.
 
-    Parameters
-    ----------
-    shift_bins : (B,) bins; without a pulse the interpolation is linear
+    Returns weights, (B, n) float32 of unit power, and (B,) int64 bins from a bin to the first one that is weighted.
 
-    Returns
-    -------
-    weights : (B, n) float32 of unit power
-    first : (B,) int64, bins from a bin to the first one that is weighted
+    shift_bins : (B,) bins; without a pulse the interpolation is linear
     """
     first = np.floor(shift_bins).astype(np.int64)
     fraction = (shift_bins - first)[:, None]
@@ -280,10 +275,8 @@ def _sum_waves(coefficients, start, matrix, shift, weights, out):
         other = min(one + uint64(1), n_beams - uint64(1))  # the last of an odd number is beside itself
         from_one, from_other = uint64(start[one]), uint64(start[other])
         first = uint64(min(shift[one], shift[other]))
-        last = min(
-            uint64(max(shift[one], shift[other])) + n_bins + n_weights - uint64(1),
-            uint64(coefficients.shape[2]),
-        )
+        last = uint64(max(shift[one], shift[other])) + n_bins + n_weights - uint64(1)
+        last = min(last, uint64(coefficients.shape[2]))
         n = last - first
         for k in range(n):
             i[k] = j[k] = u[k] = v[k] = float32(0)
@@ -385,12 +378,8 @@ def _weigh_waves(position, length, taper_series, phase, turn, amplitude, out):
     cos_step, sin_step = math.cos(step), math.sin(step)
     for b in range(len(out)):
         x, y = math.cos(step * position[b]), math.sin(step * position[b])  # of the place in the aperture
-        c, s, cos_turn, sin_turn = (
-            math.cos(phase[b]),
-            math.sin(phase[b]),
-            math.cos(turn[b]),
-            math.sin(turn[b]),
-        )
+        c, s = math.cos(phase[b]), math.sin(phase[b])
+        cos_turn, sin_turn = math.cos(turn[b]), math.sin(turn[b])
         power = 0.0
         for w in range(uint64(out.shape[2])):
             from_middle = abs(position[b] + w)
@@ -423,10 +412,6 @@ class _WaveSums(NamedTuple):
         """Add the waves of some beams to their fields (N, 2, K)."""
         arrays = self.start[rows], self.matrix[rows], self.shift[rows], self.weights[rows]
         _sum_waves(self.coefficients, *arrays, fields[rows])
-
-    def add_products_to(self, products: np.ndarray) -> None:
-        """Add the mean products of the fields of nodes near each other, (N, TAPS) float64."""
-        add_products(self.start, self.matrix, self.shift, self.weights, products)
 
 
 def _wave_sums(shape: FieldShape, layout: _Layout, cells: tuple[Cell, Cell], waves_of) -> _WaveSums:
@@ -495,6 +480,6 @@ def place_locked_field(
         sums = _wave_sums(shape, layout, cells, waves_of)
         run_rows(None if is_little else thread, partial(sums.add_to, fields), 0, n_nodes)
         if nodes is not None:
-            sums.add_products_to(products)
+            add_products(*sums[1:], products)
     first, weights = own_nodes(n_nodes) if nodes is None else (nodes.first, nodes.even_weights(products))
     return BeamField(fields, first, weights, 1.0)

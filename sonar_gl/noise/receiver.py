@@ -150,14 +150,10 @@ def receiver_levels_db(noise: Noise, sonar: Sonar | None, acoustics: Acoustics |
 
     Raises Error if thermal noise is on and the sonar's source level is not known.
 
-    Parameters
-    ----------
-    sonar, acoustics : may be None where the noise has neither self-noise nor thermal noise
+    Returns dB relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m; of thermal noise that of the
+    beam nearest to the boresight, from which others differ by 0.3 dB at most.
 
-    Returns
-    -------
-    dB relative to the echo of a sphere of reflectivity 1 about the sonar, at 1 m; of thermal noise that of the beam
-    nearest to the boresight, from which others differ by 0.3 dB at most
+    sonar, acoustics : may be None where the noise has neither self-noise nor thermal noise
     """
     out = [sonar.self_noise_db] if noise.self_noise else []
     if noise.thermal_noise:

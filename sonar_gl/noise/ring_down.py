@@ -15,15 +15,11 @@ def ring_down_power(range_m, sonar: Sonar | None, acoustics: Acoustics | None) -
     An oscillation that is damped evenly decays exponentially in time, by so many dB per metre of range. All elements
     ring alike, and so do all beams. The power is added to that of the echo.
 
-    Parameters
-    ----------
+    Returns (K,) float64, linear power, at most MAX_POWER.
+
     range_m : (K,) ranges that the sonar shows, metres
     sonar : None if unknown
     acoustics : None if unknown; then there is no TVG
-
-    Returns
-    -------
-    (K,) float64, linear power, at most MAX_POWER
 
     >>> from sonar_gl.sonar.sonar_files import load_sonar
     >>> sonar = load_sonar("p900-45,ring_down_db=20,ring_down_decay_db_m=100")

@@ -174,9 +174,8 @@ def beam_nodes(
     weights = np.i0(KAISER * np.sqrt(np.maximum(1 - (2 * off / TAPS) ** 2, 0)))
     of_beams = sum(weights[:, [tap]] * waves[first + tap] for tap in range(TAPS))
     weights /= np.sqrt((of_beams**2).sum(axis=1, keepdims=True))
-    sines, cosines = (
-        np.ascontiguousarray(part, np.float32) for part in np.split(waves[:half], [elements // 2], axis=1)
-    )
+    halves = np.split(waves[:half], [elements // 2], axis=1)
+    sines, cosines = (np.ascontiguousarray(part, np.float32) for part in halves)
     return BeamNodes(sines, cosines, first, weights.astype(np.float32))
 
 

@@ -34,19 +34,6 @@ class BodyBoxes(NamedTuple):
     order: np.ndarray
 
 
-class BodyPlaces(NamedTuple):
-    """Where the bodies are, as seen from one pose.
-
-    present : (n,) bool; matrices and rows : (n, 3, 4) and (n, PER_BODY) of `place_bodies`
-    outside : back faces of closed bodies are not visible
-    """
-
-    present: np.ndarray
-    matrices: np.ndarray
-    rows: np.ndarray
-    outside: bool
-
-
 class PatchTree(NamedTuple):
     """Patches of all meshes, one after the other, to choose among: fields of `Levels`."""
 
@@ -114,17 +101,13 @@ def _square_of_scale(m):
 def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
     """Compute the poses of bodies relative to the sonar, in float64 before they are rounded.
 
-    Parameters
-    ----------
+    Returns whether back faces may be culled: the sonar is in the box of no closed body.
+
     poses : (n, 4, 4) world_from_body; present : (n,) bool
     bodies : tuple of BodyBoxes
     pose : (4, 4) world_from_sonar
     matrices : (n, 3, 4) sonar_from_body about the centre, overwritten; rows : (n, PER_BODY), the same in float32, in
         the first 12 of its columns
-
-    Returns
-    -------
-    outside : whether back faces may be culled: the sonar is in the box of no closed body
     """
     centres, bounds, _, closed, _, _ = bodies
     outside = True
@@ -159,7 +142,7 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
 def body_spans(matrices: np.ndarray, bounds: np.ndarray, extremes: np.ndarray) -> np.ndarray:
     """Return `body_spans` of `ViewSamples`: 1/range of the furthest place of each body, and of the nearest of its box.
 
-    matrices : of `BodyPlaces`; bounds, extremes : of BodyBoxes
+    matrices : of `place_bodies`; bounds, extremes : of BodyBoxes
     """
     out = np.empty((len(matrices) + 1, 2))
     _find_body_spans(matrices, bounds, extremes, out)
@@ -304,16 +287,13 @@ def _is_turned_away(box, cone, i, ray):
 def choose_patches(tree, bodies, places, view, limits, chosen):
     """Choose the patches that a sector draws, and the window of samples about their bodies.
 
-    Parameters
-    ----------
-    tree, bodies, places, view, limits : PatchTree, BodyBoxes, BodyPlaces, SectorGeometry and DetailLimits, as plain
-        tuples
-    chosen : (M, 2) int32, patch and body; overwritten
+    Returns how many are chosen, how many faces they have, and of the window the first column, the first row, the
+    columns and the rows, all 0 where no sample may meet a body.
 
-    Returns
-    -------
-    how many are chosen, how many faces they have, and of the window the first column, the first row, the columns and
-    the rows, all 0 where no sample may meet a body
+    tree, bodies, view, limits : PatchTree, BodyBoxes, SectorGeometry and DetailLimits, as plain tuples
+    places : (n,) bool, which bodies are present; matrices and rows of `place_bodies`; and whether back faces of closed
+        bodies are not visible
+    chosen : (M, 2) int32, patch and body; overwritten
     """
     skip, leaf, error_m, box, cone, moment, whole, n_faces = tree
     _, bounds, _, closed, roots, order = bodies

@@ -108,10 +108,10 @@ class RasterEngine(Protocol):
 
 def check_engine(engine: str | None) -> str:
     """Return the engine that is asked for: the argument, or SONAR_GL_ENGINE, or "auto"."""
-    text = os.environ.get(ENGINE_VARIABLE, "").strip()
-    asked, where = (
-        (text or "auto", f", by the variable {ENGINE_VARIABLE}") if engine is None else (engine, "")
-    )
+    asked, where = engine, ""
+    if engine is None:
+        asked = os.environ.get(ENGINE_VARIABLE, "").strip() or "auto"
+        where = f", by the variable {ENGINE_VARIABLE}"
     if not isinstance(asked, str) or asked not in ENGINES:
         raise Error(f"the engine must be one of {', '.join(ENGINES)} (got {asked!r}{where})")
     return asked

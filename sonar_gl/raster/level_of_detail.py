@@ -21,9 +21,7 @@ LEAF_FACES = 512  # faces of a leaf; a draw call costs as much as some hundred f
 MIN_FACES_TO_SIMPLIFY = 100_000  # smaller meshes have leaves only: coarser levels would save too little
 COARSEST_FACES = 48  # the coarsening of the whole mesh ends here: no range of a sonar needs fewer faces
 MAX_LEVEL_RATIO = 0.8  # a coarser level with more than this share of the faces is dropped
-EXTREMES = (
-    48  # directions, of which one is within 23 degrees: how far a ball reaches is found to 8 % of its radius
-)
+EXTREMES = 48  # directions; one is within 23 degrees: how far a ball reaches is found to 8 % of its radius
 MAX_PATCH_FACES = 4 * LEAF_FACES  # patches whose union cannot be simplified to this are not joined
 
 

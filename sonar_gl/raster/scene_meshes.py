@@ -17,7 +17,6 @@ from sonar_gl.raster.cull import (
     PER_BODY,
     REFLECTIVITY,
     BodyBoxes,
-    BodyPlaces,
     PatchTree,
     body_spans,
     choose_in_sectors,
@@ -99,9 +98,7 @@ class SceneMeshes:
         """Append bodies. Those that share a mesh share all that is made of it, unless it was changed meanwhile. A copy
         made before stays as it is. Takes no more time where there are many bodies.
 
-        Returns
-        -------
-        the new meshes, `MeshWithLevels`, in the order of their vertices
+        Returns the new meshes, `MeshWithLevels`, in the order of their vertices.
         """
         made, boxes, rows, new = [], [], [], {}
         n_patches = len(self.levels.get("skip", ()))
@@ -190,25 +187,20 @@ class SceneMeshes:
             nearest, furthest = distance_before_plane(plane, matrices, self.boxes.bounds)
             present, is_cut = present & (furthest > 0), nearest < 0
         spans = body_spans(matrices, self.boxes.bounds, self.boxes.extremes)
-        return BodiesInView(
-            matrices, rows, specular and self._has_lobes, present, outside, plane, is_cut, spans
-        )
+        has_lobes = specular and self._has_lobes
+        return BodiesInView(present, matrices, rows, outside, has_lobes, plane, is_cut, spans)
 
     def choose(self, views: SectorViews, bodies: BodiesInView, out: np.ndarray) -> np.ndarray:
         """Choose what each of S sectors draws of bodies.
 
-        Parameters
-        ----------
-        out : (S, most_patches or more, 2) int32, overwritten with patches and bodies
+        Returns (S, 6) int64: how many patches of a sector are chosen, how many faces these have, and its Window.
 
-        Returns
-        -------
-        (S, 6) int64: how many patches of a sector are chosen, how many faces these have, and its Window
+        out : (S, most_patches or more, 2) int32, overwritten with patches and bodies
         """
         found = np.zeros((len(out), 6), np.int64)
         if len(self.bodies):
-            places = tuple(BodyPlaces(bodies.present, bodies.matrices, bodies.rows, bodies.outside))
-            choose_in_sectors(self._tree, tuple(self.boxes), places, views.geometry, views.limits, out, found)
+            boxes, (geometry, limits) = tuple(self.boxes), views
+            choose_in_sectors(self._tree, boxes, bodies.places, geometry, limits, out, found)
         return found
 
 

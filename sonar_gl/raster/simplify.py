@@ -126,17 +126,13 @@ def _pinches(faces, start, about, remap, a, b):
 def simplify(points: np.ndarray, faces: np.ndarray, locked: np.ndarray, target: int) -> tuple:
     """Collapse edges of a mesh until `target` faces remain.
 
-    Parameters
-    ----------
+    Returns (F', 3) int32 faces over a subset of the vertices, and the largest rms distance, metres, between the end of
+    a collapsed edge and the planes of the vertex it replaces.
+
     points : (V, 3) float64, metres
     faces : (F, 3) int32
     locked : (V,) bool, vertices that stay; they must include the vertices of open edges
     target : number of faces at which to stop; the result may have more
-
-    Returns
-    -------
-    faces : (F', 3) int32, over a subset of the vertices
-    error_m : largest rms distance between the end of a collapsed edge and the planes of the vertex it replaces
     """
     quadrics, remap = np.zeros((len(points), 11)), np.arange(len(points), dtype=np.int32)
     _add_quadrics(points, faces, quadrics)

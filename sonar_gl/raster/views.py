@@ -87,24 +87,29 @@ def stacked(views: Sequence[SectorView]) -> SectorViews:
 class BodiesInView(NamedTuple):
     """Bodies as seen from one pose of the sonar.
 
+    present : (n,) bool
     matrices : (n, 3, 4) sonar_from_body, about the middle of its mesh
     rows : (n, PER_BODY) float32, what the shader knows of them
-    has_lobes : whether any has a specular lobe
-    present : (n,) bool
     outside : whether back faces may be culled: the sonar is in the box of no closed body
+    has_lobes : whether any has a specular lobe
     plane : (4,) a; only a · (x, y, z, 1) > 0 in the sonar's frame is drawn; or None
     is_cut : (n,) bool, bodies that lie on both sides of it
     spans : `body_spans` of `ViewSamples`
     """
 
+    present: np.ndarray
     matrices: np.ndarray
     rows: np.ndarray
-    has_lobes: bool
-    present: np.ndarray
     outside: bool
+    has_lobes: bool
     plane: np.ndarray | None
     is_cut: np.ndarray
     spans: np.ndarray
+
+    @property
+    def places(self) -> tuple:
+        """What `choose_patches` takes of it."""
+        return self[:4]
 
 
 class Window(NamedTuple):

@@ -221,13 +221,11 @@ class CpuRenderer:
             return [self._layout.samples(windows, *samples, bodies.spans)] * len(images)
         plane = NO_PLANE if bodies.plane is None else bodies.plane
         closed = meshes.boxes.closed
-        placed = tuple(
-            PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
-        )
+        placed = PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
         work_ns = FACE_NS * n_faces + SAMPLE_NS * width * height * len(images)
         lobes = images[1].take_lobes(width, height) if len(images) > 1 else NO_LOBES
         most = n_most, max(w.rows * w.columns for w in windows)
-        drawn = placed, bodies.has_lobes, chosen, found, most, samples, lobes
+        drawn = tuple(placed), bodies.has_lobes, chosen, found, most, samples, lobes
         if half is not None or self._thread is None or work_ns < FEW_NS:
             parts = [self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)]
         else:
@@ -364,17 +362,14 @@ class CpuEngine:
         return self.contents.meshes
 
     def with_more(self, bodies) -> LoadedMeshes:
-        """Return contents with more bodies."""
         return self.contents.with_more(bodies)
 
     def make_workspace(self, most_samples: int = MAX_SAMPLES) -> CpuWorkspace:
-        """Return memory to draw into, for views of at most so many samples."""
         return CpuWorkspace(most_samples)
 
     def make_renderer(
         self, fan: Fan, specular: bool, workspace: CpuWorkspace, thread: SecondThread | None = None
     ) -> CpuRenderer:
-        """Return a renderer."""
         return CpuRenderer(self, fan, specular, workspace, thread)
 
     def check_thread(self) -> None:

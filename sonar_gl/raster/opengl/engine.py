@@ -54,27 +54,22 @@ class OpenGLEngine:
         return self._buffers.meshes
 
     def with_more(self, bodies) -> UploadedMeshes:
-        """Return contents with more bodies; inside `drawing`."""
         return self._buffers.uploaded.with_more(bodies)
 
     def make_workspace(self, most_samples: int = MAX_SAMPLES) -> OpenGLWorkspace:
-        """Return memory to draw into, for views of at most so many samples."""
         return OpenGLWorkspace(self._context, most_samples)
 
     def make_renderer(
         self, fan: Fan, specular: bool, workspace: OpenGLWorkspace, thread: SecondThread | None = None
     ) -> OpenGLRenderer:
-        """Return a renderer; inside `drawing`. The driver has threads of its own."""
-        return OpenGLRenderer(self._buffers, fan, specular, workspace)
+        return OpenGLRenderer(self._buffers, fan, specular, workspace)  # the driver has threads of its own
 
     def check_thread(self) -> None:
-        """Raise an Error in another thread than that whose context was joined."""
         if self._host_thread is not None:
             check_thread(self._host_thread)
 
     @contextmanager
     def drawing(self):
-        """Have the context current for the time of the block."""
         lifetime.release_waiting()
         # after an interrupt in the context's own end, the outer manager still makes it not current
         with egl.preserve_current(), self._context as context:
@@ -82,16 +77,13 @@ class OpenGLEngine:
             yield context
 
     def collect(self) -> None:
-        """Give back the memory of objects that nobody holds any more; inside `drawing`."""
         self._context.gc()
 
     def discard(self) -> None:
-        """Have the context released by the next call that may; a finaliser may call this."""
         lifetime.discard(self._context)
 
     @staticmethod
     def release_waiting() -> None:
-        """Release what was discarded."""
         lifetime.release_waiting()
 
 
