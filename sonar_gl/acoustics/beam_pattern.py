@@ -91,8 +91,6 @@ def aperture_field(x, series: tuple[float, ...]) -> np.ndarray:
     It is the Fourier transform of the aperture's weights, and also the range response of a pulse whose
     spectrum has these weights.
 
-    Parameters
-    ----------
     x : u L/λ, any shape
     series : F₁, F₂, … of `taper_series`
 
@@ -149,8 +147,6 @@ def chebyshev_pattern(x, elements: int, side_lobe_db: float) -> np.ndarray:
 def main_lobe_edge(series: tuple[float, ...], level: float) -> float:
     """Return the x at which the power of `aperture_field` first falls to a level.
 
-    Parameters
-    ----------
     series : F₁, F₂, … of `taper_series`
     level : linear power relative to the axis, above 0 and below 1
 
@@ -177,8 +173,6 @@ def _chebyshev_edge(elements: int, side_lobe_db: float, level: float) -> float:
 class ArrayPattern:
     """The one-way power pattern of an unsteered array, as a function of the sine u of the angle off its axis.
 
-    Parameters
-    ----------
     shape : "line_array" or "gaussian"
     width_rad : −3 dB full width, radians, 0..π
     taper, side_lobe_db : of the line array, as `Sonar.receive_taper` and `Sonar.side_lobe_db`
@@ -297,8 +291,6 @@ class FarPattern:
     Of the support, it has a ripple as high as the next side lobe in place of the main lobe and of the first side
     lobes: all of it oscillates alike, so that a few functions of azimuth describe it.
 
-    Parameters
-    ----------
     array : ArrayPattern, "line_array"
     steered : as for `line_array_pattern`
     floor : mean power that element errors receive from any direction in front of the array, relative to the axis
@@ -402,8 +394,6 @@ def gaussian_pattern(azimuth_rad, steer_azimuth_rad, beam_width_rad, steered="al
 
     2^−(u / u₃)², u₃ = sin(width / 2).
 
-    Parameters
-    ----------
     azimuth_rad, steer_azimuth_rad, beam_width_rad, steered : as for `line_array_pattern`
 
     >>> round(float(gaussian_pattern(np.radians(1.0), 0.0, np.radians(1.0))), 4)

@@ -63,8 +63,6 @@ def cos_of_greatest_lobe(slope):
 def plane_of(depth_inverse, slopes, at):
     """Return (..., 3) p of the plane p · x = 1 that a ray meets, in the sector's frame: 1/x = p_x − p_y u + p_z v.
 
-    Parameters
-    ----------
     depth_inverse : (...) 1/x on the ray, 1/metres
     slopes : (..., 2) derivatives of 1/x along u and v, 1/metres
     at : (..., 2) u and v of the ray
@@ -79,8 +77,6 @@ def plane_of(depth_inverse, slopes, at):
 def cos_times_range(plane, depth_inverse, at, normal):
     """Return (...) cos θ times slant range, metres, where a ray meets a plane.
 
-    Parameters
-    ----------
     plane : (..., 3) p of `plane_of`, 1/metres
     depth_inverse, at : as for `plane_of`
     normal : (..., 3) normal of any length and on either side, which determines cos θ; where it is 0 the plane does
@@ -154,8 +150,6 @@ def sediment_backscattering(grazing_rad, density_ratio, speed_ratio, loss, volum
 def coherent_loss(grazing_rad, roughness_m, wavenumber_rad_m):
     """Return the factor of a rough boundary on the coherently reflected amplitude, 0..1: exp(−2 (k σ sin g)²).
 
-    Parameters
-    ----------
     grazing_rad : g, grazing angle between ray and boundary, radians, 0..π/2; arrays broadcast
     roughness_m : σ, rms height of the roughness, metres
     wavenumber_rad_m : k, 2π over the wavelength, radians per metre

@@ -37,8 +37,6 @@ def _null_m(bandwidth_hz: float, sound_speed_m_s: float) -> float:
 class PulseResponse(NamedTuple):
     """What determines the response of the matched filter, as the functions of this module take it.
 
-    Attributes
-    ----------
     bandwidth_hz : of the pulse, hertz
     taper : weights of its spectrum, "uniform" or "hamming"
     sound_speed_m_s : that the sonar is set to
@@ -83,8 +81,6 @@ def resolution_cell_m(bandwidth_hz: float, taper: str = "uniform", sound_speed_m
 
     It is c/2B (1 + 2 Σ F_m²) by Parseval.
 
-    Parameters
-    ----------
     bandwidth_hz, taper, sound_speed_m_s : as for `amplitude_response`
 
     >>> resolution_cell_m(30e3), round(resolution_cell_m(30e3, "hamming"), 5)
@@ -96,8 +92,6 @@ def resolution_cell_m(bandwidth_hz: float, taper: str = "uniform", sound_speed_m
 def _half_length_within(half_energy: np.ndarray, energy: float) -> int:
     """Return the bins to each side that contain an energy.
 
-    Parameters
-    ----------
     half_energy : energy of the bins at 0, 1, … from the centre of a symmetric kernel
     energy : the energy to contain
     """
@@ -130,14 +124,10 @@ def bin_weights(
     own echo, and the sum of the weights is 1. A shorter bin holds only a part of the cell's echo, and the sum is the
     cell over the bin: the level does not depend on the size of the bins.
 
-    Parameters
-    ----------
+    Returns (n,) float32, n odd, symmetric, sum 1 or more, read-only.
+
     bin_size_m : length of a bin, metres
     bandwidth_hz, taper, sound_speed_m_s : as for `amplitude_response`
-
-    Returns
-    -------
-    (n,) float32, n odd, symmetric, sum 1 or more, read-only
 
     >>> bin_weights(0.05, 30e3, "hamming")[6:9].astype(float).round(3).tolist()  # the middle ones of 15
     [0.028, 0.944, 0.028]
@@ -213,14 +203,10 @@ def coarse_weights(
     The noise is independent from bin to bin. Samples of the amplitude response would not do: they alias amplitudes,
     whereas in noise powers alias. The response is that of `field_weights`, at any distance.
 
-    Parameters
-    ----------
+    Returns float64, of the shape of `bins`, of any common scale.
+
     bins : distances in bins, any shape
     bin_size_m, bandwidth_hz, taper, sound_speed_m_s : as for `bin_weights`
-
-    Returns
-    -------
-    float64, of the shape of `bins`, of any common scale
 
     >>> w = coarse_weights(np.arange(-2, 3), 0.025, 30e3)
     >>> np.abs(w / w[2]).round(3).tolist()  # the band of 25 mm is full
@@ -241,13 +227,9 @@ def field_weights(
     response of the root of the aliased power spectrum, so that the correlation over bins stays that of fine bins,
     sinc x for "uniform".
 
-    Parameters
-    ----------
-    bin_size_m, bandwidth_hz, taper, sound_speed_m_s : as for `bin_weights`
+    Returns (n,) float32, n odd, symmetric, sum of squares 1, read-only.
 
-    Returns
-    -------
-    (n,) float32, n odd, symmetric, sum of squares 1, read-only
+    bin_size_m, bandwidth_hz, taper, sound_speed_m_s : as for `bin_weights`
 
     >>> field_weights(0.025, 30e3).tolist()
     [1.0]
@@ -323,16 +305,12 @@ def convolve(
 ) -> np.ndarray:
     """Return rows convolved with weights, without the ends.
 
-    Parameters
-    ----------
+    Returns (R, before + L + after − n + 1) float32.
+
     rows : (R, L) float32
     weights : (n,) float32, symmetric
     before, after : zeros that are thought before and behind each row
     thread : does half of the rows, unless they are few
-
-    Returns
-    -------
-    (R, before + L + after − n + 1) float32
     """
     n = len(weights)
     out = np.empty((len(rows), before + rows.shape[1] + after - n + 1), np.float32)
@@ -350,15 +328,11 @@ def matched_filter(
 ) -> np.ndarray:
     """Return echoes spread along range by the pulse; energy that leaves the first or the last bin is lost.
 
-    Parameters
-    ----------
+    Returns (B, K) float32, linear power.
+
     intensity : (B, K) float32, linear power
     weights : (n,) float32 of `bin_weights`, any odd n
     thread : does half of the beams, unless they are few
-
-    Returns
-    -------
-    (B, K) float32, linear power
 
     >>> matched_filter(np.float32([[0, 0, 4, 0]]), np.float32([0.25, 0.5, 0.25])).tolist()
     [[0.0, 1.0, 2.0, 1.0]]

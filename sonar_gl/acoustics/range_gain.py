@@ -18,8 +18,6 @@ def sonar_equation_gain(
     The TVG is `time_varied_gain` of the shown range r. Of the true range, the loss is 40 log r + 2 α r, less the
     20 log r by which the area grows that a solid angle holds: echoes are sums over solid angle.
 
-    Parameters
-    ----------
     range_m : ranges that the sonar shows, metres, any shape, float64
     tvg_k : k of the TVG
     absorption_db_m, assumed_db_m : α of the water and of the TVG, dB per metre, one way

@@ -89,8 +89,6 @@ def bubble_loss_db(grazing_rad, frequency_hz: float, wind_speed_m_s: float):
     1.26e-3 / sin g · U^1.57 f^0.85, f in kHz; below 6 m/s the value there, less by the factor exp(1.2 (U − 6))
     (eqs. 28a and 28b, page II-21).
 
-    Parameters
-    ----------
     grazing_rad : g, radians, above 0..π/2; an array of any shape
     frequency_hz : f, hertz
     wind_speed_m_s : U
@@ -134,15 +132,11 @@ def bubble_layer_backscattering(grazing_rad, frequency_hz: float, wind_speed_m_s
 def surface_backscattering(grazing_rad, frequency_hz: float, wind_speed_m_s: float):
     """Return the backscattering cross section of the sea surface per area and steradian, seen from below.
 
-    Parameters
-    ----------
+    Returns linear, of the shape of `grazing_rad`; 10 log of it is S_s, the surface backscattering strength.
+
     grazing_rad : g, radians, above 0..π/2; an array of any shape
     frequency_hz : f, hertz; fitted at 10 to 100 kHz
     wind_speed_m_s : U, 10 m above the sea
-
-    Returns
-    -------
-    linear, of the shape of `grazing_rad`; 10 log of it is S_s, the surface backscattering strength
 
     >>> grazing = np.radians([10.0, 30.0, 90.0])
     >>> (10 * np.log10(surface_backscattering(grazing, 100e3, 7.0))).round(1).tolist()
