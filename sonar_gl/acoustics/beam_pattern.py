@@ -68,13 +68,9 @@ def taper_series(taper: str, side_lobe_db: float) -> tuple[float, ...]:
 def aperture_pattern(x, taper: str = "uniform", side_lobe_db: float = 30.0) -> np.ndarray:
     """Return the one-way power pattern of a line array, 1 on its axis.
 
-    Parameters
-    ----------
     x : u L/λ, any shape
     taper, side_lobe_db : as for `taper_series`
 
-    Notes
-    -----
     (sinc x + Σ F_m (sinc(x − m) + sinc(x + m)))², F_m of `taper_series`.
 
     Source: Urick, Principles of Underwater Sound, 3rd ed., 1983; Van Trees, Optimum Array Processing, 2002
@@ -121,14 +117,10 @@ def chebyshev_pattern(x, elements: int, side_lobe_db: float) -> np.ndarray:
     """Return the one-way power pattern of a Dolph-Chebyshev array, 1 on its axis; all its side lobes are
     equal.
 
-    Parameters
-    ----------
     x : u L/λ, any shape, where L is the number of elements times their spacing
     elements : number of elements N, 2 or more
     side_lobe_db : level of the side lobes, dB below the main lobe
 
-    Notes
-    -----
     (T(x₀ cos(πx/N)) / R)², T the Chebyshev polynomial of order N − 1, T(x₀) = R = 10^(side_lobe_db/20).
 
     Source: Dolph, "A current distribution for broadside arrays which optimizes the relationship between beam

@@ -122,14 +122,10 @@ def rayleigh_reflection(grazing_rad, density_ratio, speed_ratio, loss=0.0):
 def sediment_backscattering(grazing_rad, density_ratio, speed_ratio, loss, volume_parameter):
     """Return the backscattering cross section of a sediment's volume per area of its boundary and steradian.
 
-    Parameters
-    ----------
     grazing_rad : g, grazing angle between ray and boundary, radians, above 0..π/2; arrays broadcast
     density_ratio, speed_ratio, loss : δ, as `rayleigh_reflection` takes them; loss above 0
     volume_parameter : σ₂, the volume's cross section over its attenuation in dB per metre
 
-    Notes
-    -----
     5 δ σ₂ |1 − R²|² sin² g / (ν ln 10 |P|² Im P), P = √(κ² − cos² g), κ = (1 + iδ)/ν, ν = speed_ratio: the sound that
     enters is scattered, and attenuated on both ways. It does not depend on the frequency, as the attenuation is
     proportional to it.
@@ -167,12 +163,8 @@ def coherent_loss(grazing_rad, roughness_m, wavenumber_rad_m):
 def bubble_backscattering(radius_m):
     """Return the backscattering cross section σ_bs of a bubble, m² per steradian: a²/4.
 
-    Parameters
-    ----------
     radius_m : a, metres, any shape
 
-    Notes
-    -----
     It holds for ka >> 1, k = 2π/λ, where a sphere reflects all sound that meets it: at 900 kHz a bubble of 1 mm has
     ka = 3.8. The formula for a resonant bubble, a² / ((f₀²/f² − 1)² + δ²), holds for bubbles that are small against
     the wavelength; here it would give 1/k², since its damping δ tends to ka.
@@ -188,12 +180,8 @@ def bubble_backscattering(radius_m):
 def bubble_extinction(radius_m):
     """Return the extinction cross section of a bubble, m²: 2πa², twice its geometric cross section.
 
-    Parameters
-    ----------
     radius_m : a, metres, any shape
 
-    Notes
-    -----
     One half meets the bubble; the other half is diffracted around it by about λ/(2πa), 3 to 15 degrees for radii
     of 5 to 1 mm at 900 kHz. That is wider than a beam: diffracted sound returns as a faint haze from other directions
     and is neglected. Beyond a²/λ, 6 cm at most for radii up to 1 cm, diffraction fills the shadow of a single bubble,

@@ -54,13 +54,9 @@ def facet_slope_variance(wind_speed_m_s: float) -> float:
 def facet_backscattering(grazing_rad, wind_speed_m_s: float):
     """Return the cross section of waves without bubbles per area and steradian: facets, and composite roughness.
 
-    Parameters
-    ----------
     grazing_rad : g, radians, 0..π/2; an array of any shape
     wind_speed_m_s : U, 10 m above the sea
 
-    Notes
-    -----
     Facets: sec⁴γ / 4πs² · exp(−tan² γ / s²), γ = 90° − g. Composite roughness: 1.3e-5 U tan⁴ g, up to g = 85°. They are
     blended about the angle at which facets return 15 dB less than at γ = 0.
 
@@ -104,14 +100,10 @@ def bubble_loss_db(grazing_rad, frequency_hz: float, wind_speed_m_s: float):
 def bubble_layer_backscattering(grazing_rad, frequency_hz: float, wind_speed_m_s: float):
     """Return the cross section of the bubbles below the surface per area and steradian.
 
-    Parameters
-    ----------
     grazing_rad : g, radians, above 0..π/2; an array of any shape
     frequency_hz : f, hertz
     wind_speed_m_s : U
 
-    Notes
-    -----
     δ_r sin g / 8πδ · (1 + 8β exp(−2β) − exp(−4β)), β = β_v / sin g: direct and by way of the surface, in a layer
     that attenuates. β_v = 10^(0.4701 U − 5.2577) (f / 25 kHz)^0.85 is its depth-integrated extinction, up to
     11 m/s, and rises as U^3.5 from there. δ_r = 0.0136 and δ = 0.0255 f^(1/3), f in kHz, are the damping of

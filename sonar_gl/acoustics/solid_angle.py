@@ -39,12 +39,8 @@ class BeamSolidAngles(NamedTuple):
 def beam_solid_angles(sonar: Sonar, acoustics: Acoustics, beam: int | None = None) -> BeamSolidAngles:
     """Return the integrals of the patterns of a beam over solid angle.
 
-    Parameters
-    ----------
     beam : its number; None: the one nearest to the boresight
 
-    Notes
-    -----
     An upright beam at ψ_b has the solid angle ∫ B(ψ, ψ_b) dψ ∫ p(sin φ) d sin φ, B its pattern in azimuth and p that in
     elevation. A cone is ∫ B(β, ψ_b) cos β ∫ p(cos β sin t) dt dβ, where the direction at angle t around the cone that
     is shown at β is (cos β cos t, sin β, cos β sin t). Beams receive nothing from behind.

@@ -449,15 +449,11 @@ def place_locked_field(
 ) -> BeamField:
     """Return a complex Gaussian field of unit variance that the sonar's pose alone determines.
 
-    Parameters
-    ----------
     pose : (4, 4) world_from_sonar, or its first two rows; its heading, its horizontal position and which side is up
         count
     waves_of : function (cell x, cell y, chunks, number of bins) of those waves, or more
     thread : does a part of the work, with the same bytes
 
-    Notes
-    -----
     Random waves from all directions of the circle lie on a line through the sonar. They are fixed in the
     world, and a beam receives them through its aperture, at its azimuth in the world.
 
