@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, Beamformer
-from sonar_gl.beamform.water_surface import SurfaceOnRays, WaterSurface, on_rays, whole_sectors
+from sonar_gl.beamform.water_surface import SurfaceOnRays, WaterSurface, on_rays, whole_sector
 from sonar_gl.sonar.samples import SectorSamples
 
 # in each bin: near the vertical it spans some degrees
@@ -44,9 +44,11 @@ def sum_surface(
     law = over_lambert(edges_m, surface.height_m, backscatter)
     of_samples = partial(_over_bin_mean, edges_m=edges_m, law=law, surface=surface, backscatter=backscatter)
     steep_m = edges_m[0], _end_of_steep_bins(edges_m, surface, backscatter)
-    whole = whole_sectors(samples, beamformer.fan.sectors)
     is_spread = beamformer.fan.sampling.reducer == "footprint"
-    alone = [_surface_alone(one, surface, steep_m, of_samples, is_spread) for one in whole]
+    alone = [
+        _surface_alone(one, surface, steep_m, of_samples, is_spread)
+        for one in map(whole_sector, samples, beamformer.fan.sectors)
+    ]
     by_lambert = beamformer.sum_footprints(alone).intensity
     intensity = by_lambert * (law * gain).astype(np.float32)
     return BeamEcho(intensity, float(intensity.sum(dtype=np.float64)))

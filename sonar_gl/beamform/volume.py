@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sonar_gl.beamform.beamformer import BeamEcho, Beamformer
-from sonar_gl.beamform.water_surface import WaterSurface, on_rays, ray_lengths, whole_sectors
+from sonar_gl.beamform.water_surface import WaterSurface, on_rays, ray_lengths, whole_sector
 from sonar_gl.sonar.samples import SectorSamples
 
 
@@ -38,7 +38,7 @@ def sum_volume(
     """
     first_m = float(beamformer.fan.sonar.bin_edges_m[0] + beamformer.fan.sonar.bin_size_m / 2)
     if surface is not None:
-        samples = whole_sectors(samples, beamformer.fan.sectors)
+        samples = map(whole_sector, samples, beamformer.fan.sectors)
     closing = [_covered(one, first_m, surface) for one in samples]
     covered = beamformer.sum_footprints(closing).intensity
     scale = math.pi * 10 ** (strength_db / 10) * beamformer.fan.sonar.bin_size_m

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -63,12 +62,8 @@ def ray_lengths(samples: SectorSamples) -> np.ndarray:
     return np.sqrt(1 + u * u + v * v)
 
 
-def whole_sectors(samples: Sequence[SectorSamples], sectors: Sequence[Sector]) -> list[SectorSamples]:
-    """Return samples of whole sectors from those of a window in each, outside of which there are no bodies."""
-    return [_whole(*pair) for pair in zip(samples, sectors, strict=True)]
-
-
-def _whole(samples: SectorSamples, sector: Sector) -> SectorSamples:
+def whole_sector(samples: SectorSamples, sector: Sector) -> SectorSamples:
+    """Return the samples of a whole sector from those of a window, outside of which there are no bodies."""
     rows, columns = samples.plane_echo.shape[:2]
     apart = samples.sector.u[0] - sector.u[0], samples.sector.v[0] - sector.v[0]
     i, j = np.rint(np.linalg.solve(sector.steps, apart)).astype(int)

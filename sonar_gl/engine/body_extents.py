@@ -196,22 +196,13 @@ def _extents(bodies, specular: bool) -> _Extents:
     )
 
 
-def _limits_of(reception: Reception) -> tuple:
-    """Return from where a sonar receives, as `_fill_greatest` takes it."""
-    sonar = reception.sonar
-    half_azimuth_rad = math.radians(sonar.azimuth_fov_deg) / 2 + reception.reach_rad
-    # those of a sonar may be whole numbers, for which the function would be compiled once more
-    ranges_m = float(sonar.range_min_m), float(sonar.range_max_m), sonar.bin_size_m
-    return *ranges_m, half_azimuth_rad, reception.max_elevation_rad, reception.are_cones
-
-
 @compiled
 def _fill_greatest(bodies, limits, gain, elevation_table, out):
     """Fill `out`, (bodies + 1,), with what `BodyExtents.greatest_echo` returns.
 
     bodies : centres of spheres in the frame of the sonar, (n, 3); their radii, the greatest silhouettes, and the most
         that each body may return per steradian, 0 of absent ones
-    limits : of `_limits_of`
+    limits : least and greatest range, length of a bin, half of the azimuths, greatest elevation, whether beams are cones
     gain, elevation_table : of `Reception`
     """
     centres, radii_m, areas_m2, backscatter = bodies
@@ -321,7 +312,12 @@ class BodyExtents:
         spheres = np.ascontiguousarray(centres @ pose[:3, :3]), scales * self._columns.radii_m
         backscatter = self.greatest_backscatter(state) * state.present
         bodies = *spheres, scales**2 * self._columns.areas_m2, backscatter
-        _fill_greatest(bodies, _limits_of(reception), reception.gain, reception.elevation_table, out)
+        sonar = reception.sonar
+        # those of a sonar may be whole numbers, for which the function would be compiled once more
+        ranges_m = float(sonar.range_min_m), float(sonar.range_max_m), sonar.bin_size_m
+        half_azimuth_rad = math.radians(sonar.azimuth_fov_deg) / 2 + reception.reach_rad
+        limits = *ranges_m, half_azimuth_rad, reception.max_elevation_rad, reception.are_cones
+        _fill_greatest(bodies, limits, reception.gain, reception.elevation_table, out)
         return out
 
     def share_in_view(self, number: int, body, state: SceneState, pose, reception: Reception) -> float:

@@ -147,14 +147,14 @@ def leaf_range(faces, bounds, n_vertices: int) -> tuple[np.ndarray, np.ndarray]:
 class _Patch:
     """A patch during construction of the tree.
 
-    vertices : (n,) indices of the mesh's vertices; None for a patch that could not be simplified
-    faces : (m, 3) indices into `vertices`, or None likewise
+    vertices : (n,) int32 indices of the mesh's vertices; none of a patch that could not be simplified
+    faces : (m, 3) int32 indices into `vertices`
     error_m : geometric error
     children : patches below
     """
 
-    vertices: np.ndarray | None
-    faces: np.ndarray | None
+    vertices: np.ndarray
+    faces: np.ndarray
     error_m: float
     children: tuple = ()
 
@@ -211,13 +211,13 @@ def make_levels(points, faces) -> Levels:
 
     def join(one, other, leaves):
         """Return the parent of two patches; it has no faces where it cannot be simplified enough."""
-        if is_simplified and one.faces is not None and other.faces is not None:
+        if is_simplified and len(one.faces) and len(other.faces):
             both = _joined(one.vertices, one.faces, other.vertices, other.faces)
             error_m = max(one.error_m, other.error_m)
             joined = coarsen(_Patch(*both, error_m), *leaves, (one, other))
             if len(joined.faces) <= MAX_PATCH_FACES:
                 return joined
-        return _Patch(None, None, np.inf, (one, other))
+        return _Patch(np.empty(0, np.int32), np.empty((0, 3), np.int32), np.inf, (one, other))
 
     def subtree(low, high):
         """Return the patch of the leaves low..high - 1, with those below it."""
@@ -231,7 +231,7 @@ def make_levels(points, faces) -> Levels:
         second_half = other_thread.submit(subtree, n_leaves // 2, n_leaves)
         first_half = subtree(0, n_leaves // 2)
         top = join(first_half, second_half.result(), (0, n_leaves))
-    while top.faces is not None and len(top.faces) > COARSEST_FACES:
+    while len(top.faces) > COARSEST_FACES:
         fewer = coarsen(top, 0, n_leaves, (top,))
         if len(fewer.faces) > MAX_LEVEL_RATIO * len(top.faces):
             break
@@ -256,10 +256,7 @@ def _flatten(points, top: _Patch) -> Levels:
     box, cone, moment, whole = np.zeros((n, 6)), np.zeros((n, 4)), np.zeros((n, 6)), np.zeros((n, 6))
     for number in range(n - 1, -1, -1):
         patch = patches[number]
-        if patch.faces is None:
-            cone[number, 3] = -1.0
-        else:
-            measure_patch(points[patch.vertices], patch.faces, box[number], cone[number], moment[number])
+        measure_patch(points[patch.vertices], patch.faces, box[number], cone[number], moment[number])
         whole[number] = moment[number]
         if patch.children:
             children = [number + 1, skip[number + 1]][: len(patch.children)]
@@ -269,12 +266,11 @@ def _flatten(points, top: _Patch) -> Levels:
             low = (box[children, :3] - box[children, 3:]).min(axis=0)
             high = (box[children, :3] + box[children, 3:]).max(axis=0)
             box[number] = *(low + high) / 2, *(high - low) / 2
-    with_faces = [patch for patch in patches if patch.faces is not None]
-    n_vertices = np.array([0 if patch.faces is None else len(patch.vertices) for patch in patches])
-    n_faces = np.array([0 if patch.faces is None else len(patch.faces) for patch in patches])
+    n_vertices = np.array([len(patch.vertices) for patch in patches])
+    n_faces = np.array([len(patch.faces) for patch in patches])
     return Levels(
-        vertices=np.concatenate([patch.vertices for patch in with_faces]),
-        faces=np.concatenate([patch.faces.astype(np.uint16) for patch in with_faces]),
+        vertices=np.concatenate([patch.vertices for patch in patches]),
+        faces=np.concatenate([patch.faces.astype(np.uint16) for patch in patches]),
         first_vertex=np.cumsum(n_vertices) - n_vertices,
         n_vertices=n_vertices,
         first_face=np.cumsum(n_faces) - n_faces,
