@@ -25,19 +25,12 @@ FADE_COSINE = 0.26
 def taper_series(taper: str, side_lobe_db: float) -> tuple[float, ...]:
     """Return F₁, F₂, … of the weights 1 + 2 Σ F_m cos(2πmz/L) of a tapered aperture, |z| <= L/2.
 
-    Parameters
-    ----------
+    Raises ValueError if the taper has no such series, as "chebyshev", whose pattern `ArrayPattern` has.
+
     taper : "uniform", "hamming" or "taylor"
     side_lobe_db : level of the side lobes of "taylor", dB below the main lobe
 
-    Notes
-    -----
     Taylor's n̄ is the least that he allows, 2A² + 1/2, and at least 4; πA = arcosh 10^(side_lobe_db/20).
-
-    Raises
-    ------
-    ValueError
-        if the taper has no such series, as "chebyshev", whose pattern `ArrayPattern` has.
 
     Source: Taylor, "Design of line-source antennas for narrow beamwidth and low side lobes", IRE Trans.
     Antennas Propag. 3, 16-28, 1955; Harris, "On the use of windows for harmonic analysis with the discrete

@@ -9,25 +9,19 @@ def leak_between_beams(intensity: np.ndarray, level_db: float, spacing: int) -> 
     """Return the intensity with cross-talk between the beams of each set.
 
     A sonar with fewer receiver channels than beams takes several transmissions for a frame, and receives in each of
-    them a set of beams that are `spacing` apart [1]_ [2]_. A beam receives the share κ of the echo in each other beam
+    them a set of beams that are `spacing` apart. A beam receives the share κ of the echo in each other beam
     of its set, at the same range. Powers add: the paths have no common phase. The result is divided by
     1 + (m − 1) κ, where a set has m beams, so that an even echo keeps its level and each bin the sum over its beams.
 
-    Parameters
-    ----------
+    Returns (B, K) float32, linear power.
+
     intensity : (B, K) float32, linear power, mean of the speckle
     level_db : 10 log10 κ, not above 0
     spacing : beams from one beam of a set to the next, 1 or more
 
-    Returns
-    -------
-    (B, K) float32, linear power
-
-    References
-    ----------
-    .. [1] Sound Metrics on DIDSON: 12 channels, 96 beams in 8 transmissions; an echo in one beam shows in every 8th
-       (pvazteixeira/sonar-denoising, cpsf.m, 2014)
-    .. [2] Sound Metrics, ARIS Integration SDK, PingMode: 48, 64, 96 and 128 beams in 3, 4, 6 and 8 transmissions
+    Source: Sound Metrics on DIDSON: 12 channels, 96 beams in 8 transmissions; an echo in one beam shows in every 8th
+    (pvazteixeira/sonar-denoising, cpsf.m, 2014); Sound Metrics, ARIS Integration SDK, PingMode: 48, 64, 96 and 128
+    beams in 3, 4, 6 and 8 transmissions
 
     >>> leak_between_beams(np.float32([[3], [0], [0], [0], [0]]), 10 * np.log10(0.25), 2).ravel().tolist()
     [2.0, 0.0, 0.5, 0.0, 0.5]

@@ -50,20 +50,14 @@ class PulseResponse(NamedTuple):
 def amplitude_response(range_m, bandwidth_hz: float, taper: str = "uniform", sound_speed_m_s: float = 1500.0):
     """Return the amplitude of a point's echo after the matched filter, real, 1 at its range.
 
-    Parameters
-    ----------
+    Returns float64, of the shape of `range_m`.
+
     range_m : distance from the range of the point, metres, any shape
     bandwidth_hz : bandwidth B of the pulse, evenly filled, hertz
     taper : "uniform": sinc x with x = 2 B r / c, −3 dB width 0.8859 c/2B, side lobes at −13.3 dB. "hamming": the
         spectrum has the weights 0.54 + 0.46 cos(2πf/B), width 1.303 c/2B, side lobes at −42.7 dB
     sound_speed_m_s : c, metres per second
 
-    Returns
-    -------
-    float64, of the shape of `range_m`
-
-    Notes
-    -----
     The Fourier transform of the spectrum: sinc x + Σ F_m (sinc(x − m) + sinc(x + m)).
 
     Source: Cook, Bernfeld, Radar Signals, 1967; Harris, "On the use of windows for harmonic analysis with the

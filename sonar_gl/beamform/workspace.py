@@ -80,13 +80,7 @@ def _empty_store(n_runs: int, n_pool: int) -> RunStore:
 class Workspace:
     """What beamformers of one sonar and its acoustics share. They must sum one at a time.
 
-    Parameters
-    ----------
     pools : of the arrays that are returned; None for its own
-
-    Attributes
-    ----------
-    pools
     works : what the kernels sum each half of the strips in
     """
 

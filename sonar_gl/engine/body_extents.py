@@ -202,7 +202,7 @@ def _fill_greatest(bodies, limits, gain, elevation_table, out):
 
     bodies : centres of spheres in the frame of the sonar, (n, 3); their radii, the greatest silhouettes, and the most
         that each body may return per steradian, 0 of absent ones
-    limits : least and greatest range, length of a bin, half of the azimuths, greatest elevation, whether beams are cones
+    limits : least and greatest range, length of a bin, half of the azimuths, greatest elevation; are_cones
     gain, elevation_table : of `Reception`
     """
     centres, radii_m, areas_m2, backscatter = bodies

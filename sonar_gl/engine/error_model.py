@@ -104,14 +104,8 @@ class TriedView(NamedTuple):
 class ErrorModel:
     """Judges sampling levels by what they see. It keeps nothing of a ping: what it says depends on that ping alone.
 
-    Parameters
-    ----------
     tolerance : as for `Simulator`
     gain : (K,) of the sonar's bins
-
-    Attributes
-    ----------
-    tolerance : checked
     """
 
     def __init__(self, stages: StageCache, tolerance: float, gain: np.ndarray):

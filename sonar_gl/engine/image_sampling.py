@@ -111,13 +111,8 @@ class HalvingChoice(NamedTuple):
 class ImageSampling:
     """Chooses how finely image sources are sampled, by the multipath of each ping.
 
-    Parameters
-    ----------
     tolerance : of the whole echo
     each_alone : each ping begins with the coarsest samples, so that it does not depend on those before
-
-    Attributes
-    ----------
     choice : HalvingChoice; whoever takes a step of several that may be broken off keeps it, and puts it back
     """
 

@@ -80,17 +80,11 @@ class StageCache:
 
     The samples of one stage stay valid until another one of the same shear draws, as if it were the same stage.
 
-    Parameters
-    ----------
     engine : RasterEngine that draws
     sonar, acoustics, thread : of the run
     widths : of `make_fan`
     pools : of the arrays of pings, to share with other caches
     most_samples : of a view; more raise a SampleLimitError
-
-    Attributes
-    ----------
-    most_samples
     """
 
     def __init__(

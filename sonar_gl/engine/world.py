@@ -35,13 +35,7 @@ BODIES_CURE = 'such as {"diver": sonar_gl.pose(x=5)}, or None for "not there"'  
 class World:
     """A scene's bodies in a raster engine, used by one simulator or several, one at a time.
 
-    Parameters
-    ----------
-    engine, device, context : as for `Simulator`
-
-    Attributes
-    ----------
-    engine : RasterEngine, with their meshes; None once it is given back
+    engine, device, context : as for `Simulator`; later `engine` is the RasterEngine, None once it is given back
     thread : SecondThread, which all simulators share; None where no core is free for it
     gl_info : names and limits of what draws
     n_changes : how often bodies were placed elsewhere or added, but while a sequence takes its requests

@@ -33,13 +33,9 @@ def without_hidden_labels(ping: Ping, power: np.ndarray | None) -> Ping:
     if not is_hidden.any():
         return ping
     arrays = {name: getattr(ping, name) for name in BIN_LABELS if name != "shadow"}
+    found = {name: array for name, array in arrays.items() if array is not None}
     return replace(
-        ping,
-        **{
-            name: _without(array, is_hidden, BIN_LABELS[name])
-            for name, array in arrays.items()
-            if array is not None
-        },
+        ping, **{name: _without(array, is_hidden, BIN_LABELS[name]) for name, array in found.items()}
     )
 
 

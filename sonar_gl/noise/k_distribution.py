@@ -94,8 +94,6 @@ def _multiply(bits, deviation, values, slopes, first_level, largest, out):
 def multiply_by_texture(intensity: np.ndarray, exponential: np.ndarray, deviation: np.ndarray) -> None:
     """Multiply intensity, in place, by a Gamma(ν, 1/ν) texture; times speckle it is K-distributed.
 
-    Parameters
-    ----------
     intensity : (B, K) float32, contiguous
     exponential : (B, K) float32, contiguous, of mean 1: |g|² of a complex Gaussian field, whose correlation
         between bins the texture takes over
@@ -103,11 +101,9 @@ def multiply_by_texture(intensity: np.ndarray, exponential: np.ndarray, deviatio
         deviation, within SHAPES; 0 for no texture. Speckle times texture has contrast √(1 + 2/ν), to 0.4 %: tables
         of two shapes are interpolated
 
-    References
-    ----------
-    .. [1] Jakeman, Pusey, "A model for non-Rayleigh sea echo", IEEE Trans. Antennas Propag. 24, 806-814, 1976
-    .. [2] Abraham, Lyons, "Novel physical interpretations of K-distributed reverberation", IEEE J. Oceanic
-       Eng. 27, 800-813, 2002
+    Source: Jakeman, Pusey, "A model for non-Rayleigh sea echo", IEEE Trans. Antennas Propag. 24, 806-814, 1976;
+    Abraham, Lyons, "Novel physical interpretations of K-distributed reverberation", IEEE J. Oceanic Eng. 27, 800-813,
+    2002
     """
     smallest, largest = (np.float32(math.sqrt(shape)) for shape in SHAPES)
     flat, deviation = intensity.reshape(-1), deviation.reshape(-1)

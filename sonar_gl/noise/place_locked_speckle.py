@@ -175,14 +175,10 @@ def _nodes(
 ) -> Nodes | None:
     """Return the nodes of a sonar; None where they would hardly be fewer than its (B,) beams, at any heading.
 
-    Notes
-    -----
     An aperture limits the field to one period per width / aperture_width() radians. OVERSAMPLING times as many nodes
-    are interpolated by a sinc in a Kaiser window [1]_, which errs by 58 dB less than the field of one aperture.
+    are interpolated by a sinc in a Kaiser window, which errs by 58 dB less than the field of one aperture.
 
-    References
-    ----------
-    .. [1] Oppenheim, Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 7.5.3
+    Source: Oppenheim, Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 7.5.3
     """
     n_circle = int(np.ceil(OVERSAMPLING * aperture_width(taper_series) * 2 * np.pi / width_rad))
     step = 2 * np.pi / n_circle

@@ -165,20 +165,14 @@ def common_noise_pattern(azimuth_rad, width_deg: float) -> np.ndarray:
     """Return what beams receive of noise that neighbouring channels have in common, 1 straight ahead.
 
     A group of channels that pick up the same interference is a small array for which it comes from ahead. Groups are
-    independent of one another, and so beams have the power pattern of one group [1]_, and the grain of other noise.
+    independent of one another, and so beams have the power pattern of one group, and the grain of other noise.
 
-    Parameters
-    ----------
+    Returns (B,) float64.
+
     azimuth_rad : (B,) azimuths of beams; beams more than 90 degrees off receive nothing of it
     width_deg : −3 dB width of the pattern of a group
 
-    Returns
-    -------
-    (B,) float64
-
-    References
-    ----------
-    .. [1] Van Trees, Optimum Array Processing, 2002: uniform linear arrays
+    Source: Van Trees, Optimum Array Processing, 2002: uniform linear arrays
 
     >>> common_noise_pattern(np.radians([0.0, 1.5]), 3.0).round(6).tolist()
     [1.0, 0.5]

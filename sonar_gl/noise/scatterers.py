@@ -104,22 +104,16 @@ def add_scatterers(
 ) -> None:
     """Add the field of a random set of scatterers to total, in place.
 
-    Parameters
-    ----------
     total : (B, 2, K) float32, real and imaginary parts
     power : (B, K) float32, mean of |field|²
     correlation : azimuths, width and taper of the beams, and the pulse
 
-    Notes
-    -----
     The number of scatterers in a volume is Poisson-distributed. A scatterer at ψ in bin k adds √p e^iφ A(ψ_b − ψ) w_k
-    to beam b, with the amplitude response A of the beam and w of the pulse. By Campbell's theorem [1]_ the mean of the
+    to beam b, with the amplitude response A of the beam and w of the pulse. By Campbell's theorem the mean of the
     sum's square is the rate times ∫A² ∫w², which `power` is divided by. So |field|² has the mean `power`, and the
     mean square 2 + η times its square, where η falls as one over the number in a cell.
 
-    References
-    ----------
-    .. [1] Rice, "Mathematical analysis of random noise", Bell Syst. Tech. J. 23, 282-332, 1944
+    Source: Rice, "Mathematical analysis of random noise", Bell Syst. Tech. J. 23, 282-332, 1944
     """
     amplitude = np.sqrt(power)
     few, n_bins = scatterers.few_bins, total.shape[2]

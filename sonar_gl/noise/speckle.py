@@ -113,8 +113,6 @@ def beam_nodes(
     beams of tapered arrays 1.7 widths apart. Otherwise intensities correlate as the array says, within 0.001, but for
     the rounded width of beams in a full circle.
 
-    Notes
-    -----
     The pattern of a beam, as a function of azimuth, has no periods shorter than the aperture passes. So white noise of
     nodes that are no farther apart than λ/L, weighed by the pattern, has the correlation of the array. The pattern of
     a taper that is low at the ends of the aperture, such as Hamming's, is cut off at TAPS nodes.
@@ -125,12 +123,10 @@ def beam_nodes(
     fan by some beam widths. A fan whose ends nearly meet is a circle, which is its own period: the width of beams is
     rounded to a whole number of waves in it, by 6 % of beams 50 degrees wide. Waves are summed at nodes, which are
     fewer than beams that overlap much. A beam weighs nodes by a Kaiser window, whose transform the waves are divided
-    by: a wave is off by less than 1e-4 of its amplitude [1]_.
+    by: a wave is off by less than 1e-4 of its amplitude.
 
-    References
-    ----------
-    .. [1] Fessler, Sutton, "Nonuniform fast Fourier transforms using min-max interpolation", IEEE Trans. Signal
-       Process. 51, 560-574, 2003
+    Source: Fessler, Sutton, "Nonuniform fast Fourier transforms using min-max interpolation", IEEE Trans. Signal
+    Process. 51, 560-574, 2003
     """
     azimuth = np.asarray(azimuth_rad)
     independent_widths = 1.7 if taper_series else 0.95
@@ -182,16 +178,12 @@ def beam_nodes(
 def correlated_field(correlation: FieldCorrelation, n_bins: int, generator: np.random.Generator) -> BeamField:
     """Return a random field, of unit variance in the real and in the imaginary part.
 
-    Notes
-    -----
     The fields of bins correlate as the autocorrelation of the pulse weights. Overlapping beams share the waves that the
     elements of their aperture receive. Scatterers surround the sonar, so the waves at different elements are
-    independent, and the fields of beams correlate as the Fourier transform of the squared element weights [1]_. For a
+    independent, and the fields of beams correlate as the Fourier transform of the squared element weights. For a
     uniform line array that is sinc(0.8859 D / width) for beams D apart. Intensities correlate as its square.
 
-    References
-    ----------
-    .. [1] Goodman, Speckle Phenomena in Optics, 2007 (van Cittert-Zernike theorem)
+    Source: Goodman, Speckle Phenomena in Optics, 2007 (van Cittert-Zernike theorem)
     """
     sines, cosines, first, weights = beam_nodes(*correlation[:3])
     pulse_weights = correlation.pulse_weights

@@ -50,12 +50,7 @@ class _KnownMesh(NamedTuple):
 class SceneMeshes:
     """The bodies of a scene. Poses are float64 until they have been taken relative to the sonar.
 
-    Parameters
-    ----------
     surface_z_m : of the water, which ends there for a sonar in it; or None
-
-    Attributes
-    ----------
     bodies : (n,) array of Body, in the order of their numbers
     state : SceneState, unless a ping has its own
     rows : (n, PER_BODY) float32, positions not filled in

@@ -30,17 +30,10 @@ ERROR_SAMPLES, ECHO_PER_RAD = 0.01, 2.0
 class SectorView:
     """Per-sector constants of drawing, computed once.
 
-    Parameters
-    ----------
     far_m, range_max_m : distance of the far plane, and of the last bin
-
-    Attributes
-    ----------
-    geometry : SectorGeometry
     whole : Window of all its samples
     sample_rad : least width of a sample
     furthest : length of the longest of its rays up to x = 1
-    limits : DetailLimits
     """
 
     def __init__(self, sector: Sector, far_m: float, range_max_m: float):

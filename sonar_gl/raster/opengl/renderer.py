@@ -62,13 +62,8 @@ class SectorDraws(NamedTuple):
 class RenderTarget:
     """A framebuffer, and arrays of its size to read it into.
 
-    Parameters
-    ----------
     asynchronous : copy the samples to buffers of the driver after drawing, and read those later, so that a graphics
         card copies one picture while it draws the next. A software driver would only copy twice.
-
-    Attributes
-    ----------
     width, height : pixels in use; 0 before anything was drawn
     has_bodies : whether bodies' numbers are drawn, too
     """
@@ -187,17 +182,7 @@ class RenderTarget:
 
 
 class OpenGLWorkspace(RenderWorkspace):
-    """Render targets, and room for chosen patches.
-
-    Parameters
-    ----------
-    context : of these renderers
-    most_samples : of a view
-
-    Attributes
-    ----------
-    chosen : PatchRoom
-    """
+    """Render targets, and room for chosen patches."""
 
     def __init__(self, context: moderngl.Context, most_samples: int):
         # graphics cards copy samples while the next are drawn
