@@ -276,10 +276,10 @@ def test_every_seed_and_number_gives_another_view(views):
 @pytest.mark.parametrize(
     "kind, change, message",
     [
-        ("lawnmower", {"centre_m": [1, 2, 3]}, "should have a length of at most 2 (got [1, 2, 3]; give [x, y] in"),
+        ("lawnmower", {"centre_m": [1, 2, 3]}, "should have a length of at most 2 (got [1, 2, 3];"),
         ("lawnmower", {"centre_m": 5}, ".centre_m: should be a valid list (got 5; give [x, y] in metres)"),
-        ("lawnmower", {"centre_m": "12"}, ".centre_m: should be a valid list (got '12'; give [x, y] in metre"),
-        ("lawnmower", {"centre_m": [1, "a"]}, ".centre_m[1]: should be a valid number (got 'a'; give [x, y] in"),
+        ("lawnmower", {"centre_m": "12"}, ".centre_m: should be a valid list (got '12';"),
+        ("lawnmower", {"centre_m": [1, "a"]}, ".centre_m[1]: should be a valid number (got 'a';"),
         ("lawnmower", {"z_m": True}, ".z_m: should be a valid number (got True; give metres)"),
         ("lawnmower", {"z_m": math.nan}, ".z_m: should be a finite number (got nan; give metres)"),
         ("lawnmower", {"z_m": -2e8}, ".z_m: should be greater than or equal to -100000000 (got -200000000.0"),
@@ -291,8 +291,7 @@ def test_every_seed_and_number_gives_another_view(views):
         ("lawnmower", {"yaw_rad": 90}, ".yaw_rad: should be less than or equal to 6.2832 (got 90; give radi"),
         ("lawnmower", {"pitch_rad": 2}, ".pitch_rad: should be less than or equal to 1.5708 (got 2; give ra"),
         ("lawnmower", {"roll_rad": 4}, ".roll_rad: should be less than or equal to 3.1416 (got 4; give radi"),
-        ("lawnmower", {"length_m": 1e6, "width_m": 1e6}, ": should have at most 1e+09 pings (got 500000 legs "
-            "of 2000001; give a larger line_spacing_m, or a smaller ping_rate_hz)"),
+        ("lawnmower", {"length_m": 1e6, "width_m": 1e6}, ": should have at most 1e+09 pings"),
         ("lawnmower", {"speed": 1}, ": unknown key (got 'speed'; did you mean 'speed_m_s' or "),
         ("orbit", {"centre_m": [1, 2]}, ".centre_m: should have a length of at least 3 (got [1, 2]; "),
         ("orbit", {"radius_m": 0}, ".radius_m: should be greater than or equal to 0.001 (got 0; give metres"),
@@ -304,7 +303,7 @@ def test_every_seed_and_number_gives_another_view(views):
         ("sector", {"pan_rad": [-45, 45]}, ".pan_rad[0]: should be greater than or equal to -6.2832 (got -4"),
         ("sector", {"sweep_s": 0}, "(got 0; give seconds from one end to the other)"),
         ("sector", {"tilt_rad": 30}, ".tilt_rad: should be less than or equal to 1.5708 (got 30; give radia"),
-        ("random_views", {"range_m": 5}, ".range_m: should be a valid list (got 5; give [low, high] in metres"),
+        ("random_views", {"range_m": 5}, ".range_m: should be a valid list (got 5;"),
         ("random_views", {"range_m": [5, 2]}, ".range_m: should be [low, high] (got 5 and 2; swap them)"),
         ("random_views", {"range_m": [0, 2]}, ".range_m[0]: should be greater than or equal to 0.001 (got 0"),
         ("random_views", {"elevation_rad": [1, 0]}, ".elevation_rad: should be [low, high] (got 1 and 0; sw"),
@@ -312,9 +311,7 @@ def test_every_seed_and_number_gives_another_view(views):
         ("random_views", {"target_size_m": [1, 1, -1]}, ".target_size_m[2]: should be greater than or equal"),
         ("random_views", {"azimuth_jitter_rad": -0.1}, ".azimuth_jitter_rad: should be greater than or equa"),
         ("random_views", {"seed": -1}, ".seed: should be greater than or equal to 0 (got -1; give a whole n"),
-        ("random_views", {"z_m": [2.0, 5.0]}, ": range_m and elevation_rad should leave a position within "
-            "z_m = [2.0, 5.0] from which to look at z = -5 (got [2.0, 6.0] and [-0.4, 1.2]; widen one of the "
-            "three, or make target_size_m smaller)"),
+        ("random_views", {"z_m": [2.0, 5.0]}, ": range_m and elevation_rad should leave a position within"),
         ("random_views", {"target_size_m": [0, 0, 30]}, "from which to look at z = -20 (got [2.0, 6.0] and"),
         ("random_views", {"target_size_m": [0, 0, 14], "z_m": [-14, -4]}, "to look at z = 2 (got"),
         ("random_views", {"elevation_rad": [0, 0], "z_m": [-9, -6]}, "to look at z = -5 (got [2.0, 6.0]"),

@@ -282,15 +282,8 @@ def test_a_wrong_domain_of_the_environment_is_told(transports, monkeypatch):
         ("rate = '5'", "rate: should be a valid number (got '5')"),
         ("transport = ['mqtt']", "transport[0]: should be 'dds', 'zenoh' or 'foxglove' (got 'mqtt')"),
         ("without = 'pylon'", "without: should be a valid list (got 'pylon'; write [\"pylon\"])"),
-        (
-            "[topics]\nimage = true",
-            "topics.image: should be the name of a topic, or false for none (got True)\n",
-        ),
-        (
-            "water = {temperature_c = 4}",
-            "water: should be a valid string (got a table of temperature_c; give text as on the command line, such as "
-            '"temperature_c=4,salinity_psu=8")',
-        ),
+        ("[topics]\nimage = true", "topics.image: should be the name of a topic, or false for none"),
+        ("water = {temperature_c = 4}", "water: should be a valid string (got a table of temperature_c;"),
         ("mount = [1, 2]", "mount: should have a length of at least 6 (got [1"),
         ("[foxglove]\nport = 70000", "foxglove.port: should be less than or equal to 65535 (got 70000"),
         ("rate = ", "the file of --config must be TOML"),

@@ -29,6 +29,7 @@ from sonar_gl.engine.no_echo import MOST_IN_A_ROW, NoEchoWarning
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl, lifetime
 from sonar_gl.gl.functions import Functions
+from tests.support.errors import error_of
 from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -648,126 +649,49 @@ NAN[0, 3] = np.nan
 @pytest.mark.parametrize(
     "make, message",
     [
-        (
-            lambda: sg.Simulator("pylon", SONAR),
-            "scene must be a Scene (got str; sonar_gl.load_scene makes one from a name or a file)",
-        ),
-        (
-            lambda: sg.Simulator(trimesh.Scene(BOX.mesh), SONAR),
-            "scene must be a Scene (got that of trimesh; sonar_gl.load_scene makes one from a name or a file)",
-        ),
-        (
-            lambda: sg.Scene(trimesh.Scene(BOX.mesh)),
-            "a body of a scene must be a Body (got Scene; sonar_gl.load_scene makes a scene of that)",
-        ),
-        (
-            lambda: sg.Scene([BOX.mesh]),
-            "a body of a scene must be a Body (got Trimesh; as in Scene([sonar_gl.Body('box', mesh)]))",
-        ),
-        (
-            lambda: sg.Simulator(sg.Scene([BOX]), "p900-45"),
-            "sonar must be a Sonar (got str; sonar_gl.load_sonar makes one from a name or a file)",
-        ),
-        (
-            lambda: sg.Simulator(sg.Scene([BOX]), SONAR, "physical"),
-            "acoustics must be an Acoustics (got str; such as sonar_gl.Acoustics.physical())",
-        ),
-        (
-            lambda: sg.Simulator(sg.Scene([BOX]), SONAR, sampling=3),
-            "sampling must be a Sampling (got int; such as sonar_gl.Sampling(2, 100))",
-        ),
-        (
-            lambda: simulator().ping(np.eye(4), noise="physical"),
-            "noise must be a Noise (got str; such as sonar_gl.Noise.physical())",
-        ),
-        (
-            lambda: simulator().ping(np.eye(4), seed=1.5),
-            "seed must be a whole number, 0 or more (got 1.5)",
-        ),
-        (
-            lambda: simulator().ping(np.eye(4), ping_number="1"),  # although no noise needs it
-            "ping_number must be a whole number, 0 or more (got '1')",
-        ),
+        (lambda: sg.Simulator("pylon", SONAR), "scene must be a Scene (got str;"),
+        (lambda: sg.Simulator(trimesh.Scene(BOX.mesh), SONAR), "scene must be a Scene (got that of"),
+        (lambda: sg.Scene(trimesh.Scene(BOX.mesh)), "a body of a scene must be a Body (got Scene;"),
+        (lambda: sg.Scene([BOX.mesh]), "a body of a scene must be a Body (got Trimesh;"),
+        (lambda: sg.Simulator(sg.Scene([BOX]), "p900-45"), "sonar must be a Sonar (got str;"),
+        (lambda: sg.Simulator(sg.Scene([BOX]), SONAR, "physical"), "acoustics must be an Acoustics"),
+        (lambda: sg.Simulator(sg.Scene([BOX]), SONAR, sampling=3), "sampling must be a Sampling (got int;"),
+        (lambda: simulator().ping(np.eye(4), noise="physical"), "noise must be a Noise (got str;"),
+        (lambda: simulator().ping(np.eye(4), seed=1.5), "seed must be a whole number, 0 or more (got 1.5)"),
+        (lambda: simulator().ping(np.eye(4), ping_number="1"), "ping_number must be a whole number"),
         (lambda: simulator().ping(np.eye(4), labels="no"), "labels must be True or False (got 'no')"),
-        (
-            lambda: simulator().ping(np.eye(4), labels=np.array([1, 2])),
-            "labels must be True or False (got array([1, 2]))",
-        ),
-        (
-            lambda: simulator().place(None),
-            'bodies must be a dict (got NoneType; such as {"diver": sonar_gl.pose(x=5)}, or None for "not there")',
-        ),
+        (lambda: simulator().ping(np.eye(4), labels=np.array([1, 2])), "labels must be True or False"),
+        (lambda: simulator().place(None), "bodies must be a dict (got NoneType;"),
         (lambda: simulator().ping(NAN), "pose must be finite (got NaN or infinity in 1 of 16 numbers)"),
-        (
-            lambda: simulator().ping(np.eye(3)),
-            "pose must have shape (4, 4) (got (3, 3); sonar_gl.pose makes one from x y z roll pitch yaw)",
-        ),
+        (lambda: simulator().ping(np.eye(3)), "pose must have shape (4, 4) (got (3, 3);"),
         (
             lambda: sg.Body("b", trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [])),
             "body 'b': mesh must have at least one face (got 3 vertices, 0 faces)",
         ),
-        (
-            lambda: sg.Body("b", NAN_MESH),
-            "body 'b': mesh vertices must be finite (got NaN or infinity in 1 of 9 numbers)",
-        ),
+        (lambda: sg.Body("b", NAN_MESH), "body 'b': mesh vertices must be finite"),
         (
             lambda: sg.Body("b", arrays(-3.4028235e38 * np.eye(3), np.array([[0, 1, 2]]))),
             "body 'b': mesh vertices must lie within 1e+09 m of the mesh's origin (got -3.40282e+38; give metres, and "
             "leave out vertices that stand for missing data)",
         ),
-        (
-            lambda: sg.Body("b", [1, 2]),
-            "body 'b': mesh must be a trimesh.Trimesh (got list; "
-            "sonar_gl.load_scene makes bodies of a file or of a trimesh.Scene)",
-        ),
-        (
-            lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, 2, 0]]))),
-            "body 'b': mesh faces must be an array of whole numbers of shape (F, 3) (got shape (1, 4), int64; "
-            "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)",
-        ),
-        (
-            lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, 1.5]]))),
-            "body 'b': mesh faces must be an array of whole numbers of shape (F, 3) (got shape (1, 3), float64; "
-            "trimesh.Trimesh(vertices, faces) makes one, also of quadrilaterals)",
-        ),
+        (lambda: sg.Body("b", [1, 2]), "body 'b': mesh must be a trimesh.Trimesh (got list;"),
+        (lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, 2, 0]]))), "body 'b': mesh faces must be"),
+        (lambda: sg.Body("b", arrays(np.eye(3), np.array([[0, 1, 1.5]]))), "body 'b': mesh faces must be"),
         (
             lambda: sg.Body("b", arrays(np.empty((0, 3)), np.array([[0, 1, 2]]))),
             "body 'b': faces must name vertices 0..-1 (got 2)",
         ),
-        (
-            lambda: sg.Body(None, BOX.mesh),
-            'the name of a body must be a str (got NoneType; such as "diver")',
-        ),
-        (
-            lambda: sg.Bubbles(7),
-            'the name of bubbles must be a str (got int; such as "diver::bubbles")',
-        ),
-        (
-            lambda: replace(BOX, reflectivity=255),
-            "body 'box': reflectivity must lie in 0..1 (got 255 to 255; laser_retro is divided by 255)",
-        ),
-        (
-            lambda: sg.Scene([BOX], name=None),
-            'the name of a scene must be a str (got NoneType; the stem of file names, such as "harbour")',
-        ),
-        (
-            lambda: sg.Scene([BOX], sensors=SONAR),
-            "sensors of a scene must be an Iterable (got Sonar; those of another scene are `scene.sensors`)",
-        ),
-        (
-            lambda: sg.Scene([BOX], models=np.eye(4)),
-            "models of a scene must be a dict (got ndarray; those of another scene are `scene.models`)",
-        ),
-        (
-            lambda: sg.Scene([BOX], models={5: np.eye(4)}),
-            'the name of a model must be a str (got int; such as "boat")',
-        ),
+        (lambda: sg.Body(None, BOX.mesh), 'the name of a body must be a str (got NoneType; such as "diver")'),
+        (lambda: sg.Bubbles(7), 'the name of bubbles must be a str (got int; such as "diver::bubbles")'),
+        (lambda: replace(BOX, reflectivity=255), "body 'box': reflectivity must lie in 0..1"),
+        (lambda: sg.Scene([BOX], name=None), "the name of a scene must be a str (got NoneType;"),
+        (lambda: sg.Scene([BOX], sensors=SONAR), "sensors of a scene must be an Iterable (got Sonar;"),
+        (lambda: sg.Scene([BOX], models=np.eye(4)), "models of a scene must be a dict (got ndarray;"),
+        (lambda: sg.Scene([BOX], models={5: np.eye(4)}), "the name of a model must be a str (got int;"),
     ],
 )
 def test_invalid_arguments_raise_errors(make, message):
-    with pytest.raises(sg.Error) as caught:
-        make()
-    assert str(caught.value) == message
+    assert error_of(make).startswith(message)
 
 
 @pytest.mark.parametrize(
@@ -775,33 +699,20 @@ def test_invalid_arguments_raise_errors(make, message):
     [
         (lambda one: sg.Scene(one), "a body of a scene must be a Body (got ndarray; "),
         (lambda one: sg.Scene([BOX], sensors=one), "sensors of a scene must be an Iterable (got ndarray; "),
-        (
-            lambda one: sg.Scene([BOX]).with_bodies(one),
-            "bodies of a scene must be an Iterable (got ndarray; ",
-        ),
-        (
-            lambda one: sg.Scene([BOX]).with_more(one),
-            "bodies to add must be an Iterable (got ndarray; give several, as in scene.with_more([body]))",
-        ),
+        (lambda one: sg.Scene([BOX]).with_bodies(one), "bodies of a scene must be an Iterable"),
+        (lambda one: sg.Scene([BOX]).with_more(one), "bodies to add must be an Iterable (got ndarray;"),
         (lambda one: list(simulator().pings(one)), "poses must be several poses (got ndarray; "),
         (lambda one: simulator().plan(one), "poses must be several poses (got ndarray; "),
-        (
-            lambda one: list(simulator().pings([np.eye(4)], times_s=one)),
-            "times_s must be several, one a pose (got array(3.))",
-        ),
+        (lambda one: list(simulator().pings([np.eye(4)], times_s=one)), "times_s must be several, one a"),
         (
             lambda one: simulator().ping(np.eye(4), labels=True, background=one),
             "background must be several names of bodies (got array(3.); ",
         ),
-        (
-            lambda one: sg.save_animation("none.gif", one, 5),
-            "frames must be an Iterable (got ndarray; give several pictures, ",
-        ),
+        (lambda one: sg.save_animation("none.gif", one, 5), "frames must be an Iterable (got ndarray;"),
     ],
 )
 def test_an_array_of_no_axis_is_not_several(make, message):
-    with pytest.raises(sg.Error, match=f"^{re.escape(message)}"):
-        make(np.array(3.0))
+    assert error_of(make, np.array(3.0)).startswith(message)
 
 
 @pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])

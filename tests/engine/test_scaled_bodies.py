@@ -110,10 +110,7 @@ def test_a_body_twice_as_large_gives_the_bytes_of_a_mesh_that_is(levels, engine,
         sg.Simulator(sg.Scene(bodies()), SONAR, acoustics, **settings) as one,
         sg.Simulator(sg.Scene(bodies(scale)), SONAR, acoustics, **settings) as other,
     ):
-        got, expected = (
-            one.ping(POSE, bodies=placed(scale), **more),
-            other.ping(POSE, **more),
-        )
+        got, expected = (one.ping(POSE, bodies=placed(scale), **more), other.ping(POSE, **more))
         one.place(placed(scale))
         again = one.ping(POSE, **more)
     assert set(np.unique(expected.body_id)) == set(range(8))
@@ -333,27 +330,13 @@ def test_of_bodies_in_one_plane_that_reflects_which_is_the_largest_in_the_ping()
 @pytest.mark.parametrize(
     ("matrix", "message"),
     [
-        (
-            np.diag([2.0, 2.0, 1.0, 1.0]),
-            "the pose of body 'b' must be a rotation, a translation and one scale for all axes (its 3x3 part shears, "
-            "reflects or stretches; scale the mesh instead)",
-        ),
-        (
-            np.diag([-2.0, 2.0, 2.0, 1.0]),
-            "the pose of body 'b' must be a rotation, a translation and one scale for all axes (its 3x3 part shears, "
-            "reflects or stretches; scale the mesh instead)",
-        ),
-        (
-            np.diag([0.0, 0.0, 0.0, 1.0]),
-            "the pose of body 'b' must scale by 0.001..1000 (got 0; give metres)",
-        ),
-        (
-            np.diag([1e4, 1e4, 1e4, 1.0]),
-            "the pose of body 'b' must scale by 0.001..1000 (got 10000; give metres)",
-        ),
+        (np.diag([2.0, 2.0, 1.0, 1.0]), "the pose of body 'b' must be a rotation"),
+        (np.diag([-2.0, 2.0, 2.0, 1.0]), "the pose of body 'b' must be a rotation"),
+        (np.diag([0.0, 0.0, 0.0, 1.0]), "the pose of body 'b' must scale by 0.001..1000 (got 0;"),
+        (np.diag([1e4, 1e4, 1e4, 1.0]), "the pose of body 'b' must scale by 0.001..1000 (got 10000;"),
     ],
 )
 def test_a_pose_that_stretches_a_body_is_refused(matrix, message):
     with sg.Simulator(sg.Scene([sg.Body("b", BOX)]), SONAR, sampling=SAMPLING) as simulator:
-        assert error_of(simulator.ping, POSE, bodies={"b": matrix}) == message
-        assert error_of(simulator.place, {"b": matrix}) == message
+        assert error_of(simulator.ping, POSE, bodies={"b": matrix}).startswith(message)
+        assert error_of(simulator.place, {"b": matrix}).startswith(message)

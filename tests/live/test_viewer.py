@@ -121,8 +121,7 @@ def test_a_folder_without_permission_is_told_before_the_page_opens(pages, monkey
 
 
 @pytest.mark.parametrize(
-    "take",
-    [copy.deepcopy, *(pytest.param(one, marks=pytest.mark.slow) for one in (copy.copy, pickle.dumps))],
+    "take", [copy.deepcopy, *(pytest.param(one, marks=pytest.mark.slow) for one in (copy.copy, pickle.dumps))]
 )
 def test_a_view_and_its_session_refuse_to_be_copied(take):
     with sg.view("pylon", block=False, tolerance=0.2) as opened:

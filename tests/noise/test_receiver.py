@@ -1,6 +1,7 @@
 """Receiver noise: levels, the TVG, its sum with echoes; and interference from other sonars."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -120,30 +121,14 @@ def test_thermal_noise_has_the_level_that_follows_from_the_sonar():
 @pytest.mark.parametrize(
     ("noise", "lacks", "message"),
     [
-        (
-            Noise(thermal_noise=True),
-            {},
-            "sonar 'even': source_level_db must be known for absolute levels and thermal noise (got None; give it in "
-            "the sonar's file or by --sonar ...,source_level_db=..., or give the noise as ambient_db)",
-        ),
-        (
-            Noise(self_noise=True),
-            {"sonar": None},
-            "noise: the ping must have a sonar for the level of its self-noise "
-            "(got None; pings of a Simulator have one)",
-        ),
-        (
-            Noise(thermal_noise=True),
-            {"acoustics": None},
-            "noise: the ping must have its acoustics for the bandwidth of its thermal noise "
-            "(got None; pings of a Simulator have them)",
-        ),
+        (Noise(thermal_noise=True), {}, "sonar 'even': source_level_db must be known for absolute levels"),
+        (Noise(self_noise=True), {"sonar": None}, "noise: the ping must have a sonar for the level of its"),
+        (Noise(thermal_noise=True), {"acoustics": None}, "noise: the ping must have its acoustics for the"),
     ],
 )
 def test_levels_need_what_they_follow_from(noise, lacks, message):
-    with pytest.raises(Error) as caught:
+    with pytest.raises(Error, match=f"^{re.escape(message)}"):
         add_noise(replace(even_ping(), **lacks), noise, 0)
-    assert str(caught.value) == message
 
 
 @pytest.mark.parametrize("speckle", [True, False])

@@ -145,10 +145,7 @@ def test_names_that_ros_does_not_allow_are_refused(name, msgtype, why):
 @pytest.mark.parametrize(
     ("settings", "why"),
     [
-        (
-            {"connect": "banana"},
-            "the address of a zenoh router must be like 'tcp/127.0.0.1:7447' (got 'banana')",
-        ),
+        ({"connect": "banana"}, "the address of a zenoh router must be like 'tcp/127.0.0.1:7447'"),
         ({"connect": "tcp/127.0.0.1"}, "must be like 'tcp/127.0.0.1:7447'"),
         ({"connect": "tcp/127.0.0.1:70000"}, "must be like 'tcp/127.0.0.1:7447'"),
         ({"connect": "tcp/127.0.0.1:0"}, "must be like 'tcp/127.0.0.1:7447'"),
@@ -156,10 +153,7 @@ def test_names_that_ros_does_not_allow_are_refused(name, msgtype, why):
         ({"connect": None}, "must be like 'tcp/127.0.0.1:7447' (got None)"),
         ({"domain": 233}, "the ROS domain must be a whole number in 0..232 (got 233; as in ROS_DOMAIN_ID)"),
         ({"domain": "1"}, "the ROS domain must be a whole number in 0..232"),
-        (
-            {"node": "my sonar"},
-            "must have letters, digits and '_' only, and begin with no digit (got 'my sonar')",
-        ),
+        ({"node": "my sonar"}, "must have letters, digits and '_' only, and begin with no digit"),
         ({"node": "2nd"}, "begin with no digit (got '2nd')"),
         ({"node": ""}, "begin with no digit (got '')"),
     ],
@@ -179,10 +173,7 @@ def test_the_error_without_the_extra_says_how_to_add_it(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "type_hashes",
-    [pytest.param(True, id="jazzy"), pytest.param(False, id="humble")],
-)
+@pytest.mark.parametrize("type_hashes", [pytest.param(True, id="jazzy"), pytest.param(False, id="humble")])
 def test_another_program_receives_pings(port, router, transports, type_hashes):
     topic, (ping, message) = sonar_topic(), ping_message(64, 300)
     digest = topic.type_hash if type_hashes else "TypeHashNotSupported"

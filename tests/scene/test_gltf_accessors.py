@@ -15,11 +15,7 @@ CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], np.float32)
 PLAIN = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}
 TRIANGLE = {"attributes": {"POSITION": 0}}
 DRACO = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
-SPARSE = {
-    "count": 1,
-    "indices": {"bufferView": 0, "componentType": 5123},
-    "values": {"bufferView": 0},
-}
+SPARSE = {"count": 1, "indices": {"bufferView": 0, "componentType": 5123}, "values": {"bufferView": 0}}
 
 
 @pytest.fixture
@@ -116,10 +112,7 @@ def test_draco_with_its_library_or_with_plain_positions_beside_it(write, monkeyp
             "the pose of bones (ship)",
         ),
         ({"nodes": [{"mesh": 0, "name": "ship", "weights": [0.5]}]}, "morph targets (ship)"),
-        (
-            {"meshes": [{"weights": [1.0], "primitives": [TRIANGLE]}]},
-            "morph targets (ship)",
-        ),
+        ({"meshes": [{"weights": [1.0], "primitives": [TRIANGLE]}]}, "morph targets (ship)"),
         (
             {"nodes": [{"mesh": 0, "name": "ship", "extensions": {"EXT_mesh_gpu_instancing": {}}}]},
             "copies by EXT_mesh_gpu_instancing (ship)",
@@ -131,7 +124,7 @@ def test_what_is_left_out_is_told(write, others, left_out):
     with pytest.warns(UserWarning) as caught:
         load_scene(path)
     first, _ = [str(one.message) for one in caught]  # the other one is of its reflectivity
-    assert first == f"{path}: read without {left_out}"
+    assert first.startswith(f"{path}: read without {left_out}")
 
 
 def test_morph_targets_at_rest_are_no_loss(write):

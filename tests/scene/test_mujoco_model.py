@@ -294,10 +294,7 @@ def test_a_file_with_includes_and_meshes(tmp_path):
 @pytest.mark.parametrize(
     "text, message",
     [
-        (
-            "<mujoco><worldbody><geom/></worldbody></mujoco>",
-            "MuJoCo cannot read this model (Error: size 0 must be",
-        ),
+        ("<mujoco><worldbody><geom/></worldbody></mujoco>", "MuJoCo cannot read this model"),
         ("<mujoco><nonsense/></mujoco>", "MuJoCo cannot read this model (XML Error: Schema violation"),
         ("<mujoco>", "broken XML"),
         ("<!DOCTYPE m [<!ENTITY a 'b'>]><mujoco/>", "entities must not be declared (refused)"),

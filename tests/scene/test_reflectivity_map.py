@@ -154,19 +154,10 @@ def test_images_of_8_and_16_bits_and_of_colour(tmp_path):
 @pytest.mark.parametrize(
     ("image", "words"),
     [
-        (
-            np.full((2, 2), 200.0),
-            "an image: reflectivity must lie in 0..1 (got 200 to 200; divide by 255, or give unsigned integers)",
-        ),
+        (np.full((2, 2), 200.0), "an image: reflectivity must lie in 0..1 (got 200 to 200;"),
         (None, "an image must be an array of numbers, or the path of a file (got None)"),
-        (
-            np.array([["a", "b"]]),
-            "an image must be an array of numbers, or the path of a file (got array([['a', 'b']",
-        ),
-        (
-            np.ones((3, 8, 8)),
-            "an image must have shape (H, W), or (H, W, 1, 3 or 4) of colours (got (3, 8, 8))",
-        ),
+        (np.array([["a", "b"]]), "an image must be an array of numbers, or the path of a file"),
+        (np.ones((3, 8, 8)), "an image must have shape (H, W), or (H, W, 1, 3 or 4) of colours (got"),
         (np.full((2, 2), np.nan), "an image: its values must be finite"),
         (np.zeros((0, 2)), "an image: must have a texel at least"),
         (np.zeros(4), "an image: its values must have shape"),

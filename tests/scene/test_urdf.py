@@ -144,18 +144,9 @@ def test_a_robot_can_be_included_in_a_world(tmp_path):
             ARM.replace('<parent link="elbow"/>', '<parent link="x"/>').format(""),
             "joint[j2]: unknown link (got 'x')",
         ),
-        (
-            ARM.replace('radius="0.1" ', "").format(""),
-            "link[elbow]/visual[0]/geometry/cylinder: must have the",
-        ),
-        (
-            ARM.replace('xyz="0 0 1"', 'xyz="0 0"').format(""),
-            "joint[j2]/origin/xyz: must be 3 finite numbers (got '0 0')",
-        ),
-        (
-            ARM.replace('xyz="0 0 3"', 'rpy="a b c"').format(""),
-            "link[base]/collision[0]/origin/rpy: must be 3 finite numbers (got 'a b c')",
-        ),
+        (ARM.replace('radius="0.1" ', "").format(""), "link[elbow]/visual[0]/geometry/cylinder:"),
+        (ARM.replace('xyz="0 0 1"', 'xyz="0 0"').format(""), "joint[j2]/origin/xyz: must be 3 finite"),
+        (ARM.replace('xyz="0 0 3"', 'rpy="a b c"').format(""), "link[base]/collision[0]/origin/rpy:"),
         (
             ARM.replace('<origin xyz="0 0 1"/>', '<origin quat_xyzw="0 0 1"/>').format(""),
             "joint[j2]/origin/quat_xyzw: must be 4 finite numbers (got '0 0 1')",
@@ -166,10 +157,7 @@ def test_a_robot_can_be_included_in_a_world(tmp_path):
         ),
         (ARM.replace("sphere", "torus").format(""), "collision[0]/geometry/torus: unknown geometry"),
         (ARM.format("<link name='hand'/>"), "names must be unique (got 'hand' twice)"),
-        (
-            XACRO.format("<xacro:property name='a' value='1'/>"),
-            "xacro macros (<xacro:property>), which are expanded only in a .xacro file",
-        ),
+        (XACRO.format("<xacro:property name='a' value='1'/>"), "xacro macros (<xacro:property>)"),
         ("<mujoco/>", "got <mujoco>; this is a model of MuJoCo: name it .xml"),
         ("<launch/>", "got <launch>; this is a launch file of ROS"),
         ("<!DOCTYPE robot [<!ENTITY a 'b'>]><robot/>", "entities must not be declared (refused)"),
@@ -351,20 +339,14 @@ def test_a_xacro_file_reads_nothing_outside_of_the_resource_paths(tmp_path):
     "content, message",
     [
         ("<xacro:include filename='x.xacro'/>", "there is no file"),
-        (
-            "<xacro:include filename='$(find no_such)/x.xacro'/>",
-            "the ROS package 'no_such' must be in the resource",
-        ),
+        ("<xacro:include filename='$(find no_such)/x.xacro'/>", "the ROS package 'no_such' must be in the"),
         ("<xacro:include filename='a.xacro'/>", "macros and includes must end"),
         (
             "<xacro:macro name='m' params=''><xacro:m/></xacro:macro><xacro:m/>",
             "macros and includes must end",
         ),
         ("<link name='$(eval 1 + )'/>", "invalid syntax"),
-        (
-            "<xacro:thing/>",
-            "unknown macro name: xacro:thing; if other files include this one, give one of them",
-        ),
+        ("<xacro:thing/>", "unknown macro name: xacro:thing;"),
         ("<link name='${n}'/>", "name 'n' is not defined"),
         ("<link name='${1/0}'/>", "division by zero"),
         ("<link name='${1 +}'/>", "invalid syntax"),
