@@ -409,19 +409,6 @@ def test_true_range_does_not_depend_on_the_sonar_s_speed_setting():
     assert shown.min() == pytest.approx(10 * 1500 / 1450, abs=0.1)
 
 
-def test_share_of_two_bodies():
-    """The share is that of the stronger echo of two plates, one above the other."""
-    bodies = [plate("low", 8.0, -2.5, -0.5, 0.3), plate("high", 8.0, 0.5, 2.0, 0.9)]
-    both, low, high = ping(bodies), ping(bodies[:1]), ping(bodies[1:])
-    met = (low.intensity > 1e-4) & (high.intensity > 1e-4)
-    assert met.sum() > 100
-    stronger, total = np.maximum(low.intensity, high.intensity), low.intensity + high.intensity
-    np.testing.assert_allclose(both.share[met], stronger[met] / total[met], rtol=1e-6)
-    stronger = np.where(high.intensity > low.intensity, 2, 1)
-    np.testing.assert_array_equal(both.body_id[met], stronger[met])
-    assert (both.share[both.body_id == 0] == 0).all() and both.share.max() <= 1
-
-
 def test_shadow_of_a_plate_on_a_floor():
     """The shadow of a plate of height h at X extends from hypot(X, H) to hypot(X H / (H - h), H).
 
@@ -719,12 +706,6 @@ def test_noise_hides_no_labels_of_a_stated_level():
     assert "labels_above_noise" not in ping([FLOOR], labels=False).meta
 
 
-def test_noise_of_bins_alone_hides_no_labels():
-    quiet = ping([FLOOR], AUTOMATIC)
-    for noise in (sg.Noise.demarco2015(), sg.Noise(speckle=True), sg.Noise()):
-        assert_same_labels(ping([FLOOR], AUTOMATIC, noise=noise, seed=3), quiet)
-
-
 def test_side_lobes_of_a_pile_in_open_water_mark_no_stripe_where_there_is_noise():
     """A preset's law shows 58 dB: without noise a stripe 10 degrees wide behind the pile has its label."""
     sonar, body = sg.load_sonar("p900-45").with_range(30.0), replace(PILE, pose=sg.pose(20, 0, 0))
@@ -793,14 +774,6 @@ def test_labels_of_depth_images():
     rounding = 1e-5  # float32 of the plane's samples
     assert np.abs(got.true_range_m - got.range_m)[has_echo].max() <= sonar.bin_size_m / 2 + rounding
     assert got.true_range_m[has_echo].min() == pytest.approx(6.0, abs=rounding)
-
-
-def test_files_hold_the_labels(tmp_path):
-    made = ping([FLOOR, plate("box", 7.0, -HEIGHT_M, -1)], background=["floor"])
-    sg.save_npz(tmp_path / "a.npz", made)
-    read = sg.load_npz(tmp_path / "a.npz")
-    for name in ("incidence_rad", "true_range_m", "share", "shadow"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
 
 
 DEVICE = sg.load_sonar("oculus-m1200d-hf")

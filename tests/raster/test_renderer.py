@@ -1,10 +1,9 @@
-"""The depth and normal pass against geometry, pyrender's depth buffer, and its NumPy twin."""
+"""The depth and normal pass against geometry and its NumPy twin."""
 
 import math
 from dataclasses import replace
 from itertools import product
 
-import cv2
 import moderngl
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from sonar_gl.gl.functions import Functions
 from sonar_gl.raster.opengl import renderer
 from sonar_gl.raster.opengl.renderer import RenderTarget
 from sonar_gl.scene.primitives import closedness
-from sonar_gl.scene.pyrender_scene import import_pyrender
 from tests.support import glsl
 
 pytestmark = pytest.mark.usefixtures("opengl_engine")
@@ -71,79 +69,6 @@ def test_gbuffer_of_a_slanted_plane_is_exact():
         assert (buffer.body_id[hit] == 1).all()
 
 
-@pytest.mark.usefixtures("opengl_for_pyrender")
-def test_depth_agrees_with_pyrender():
-    """An independent renderer draws the pylon scene from the sonar's pose."""
-    pyrender = import_pyrender()
-    scene = sg.load_scene("pylon")
-    it = replace(sg.load_sonar("p900-45"), azimuth_fov_deg=45.0, elevation_fov_deg=20.0)
-    with sg.Simulator(scene, it, sg.Acoustics.ideal(), sg.Sampling(1, 100)) as simulator:
-        (buffer,) = simulator.gbuffers(scene.sonar_pose)
-        (sector,) = simulator.fan.sectors
-    other = pyrender.Scene()
-    for body in scene.bodies:
-        other.add(pyrender.Mesh.from_trimesh(body.mesh, smooth=False), pose=body.pose)
-    # OpenGL's camera looks along -z with y up; the sonar along x with z up
-    camera_from_sonar = np.array([[0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
-    width, height, half_height = 1200, 600, math.tan(math.radians(12))
-    camera = pyrender.PerspectiveCamera(
-        yfov=2 * math.atan(half_height), aspectRatio=width / height, znear=0.5, zfar=60.0
-    )
-    other.add(camera, pose=scene.sonar_pose @ camera_from_sonar)
-    renderer = pyrender.OffscreenRenderer(width, height)
-    try:
-        depth = renderer.render(other, flags=pyrender.RenderFlags.DEPTH_ONLY)
-    finally:
-        renderer.delete()
-    u, v = sector.sample_coordinates()
-    column = (u / (half_height * width / height) + 1) / 2 * width - 0.5
-    row = (1 - v / half_height) / 2 * height - 0.5
-    inside = (column > 1) & (column < width - 2) & (row > 1) & (row < height - 2)
-    inside &= (buffer.range_m > 0) & (buffer.range_m < 40)
-    assert inside.sum() > 10_000
-    # 1/depth is linear on a plane, so interpolation is exact where all neighbours lie on one plane
-    inverse = 1 / np.where(depth > 0, depth, np.inf).astype(np.float64)
-    bend = np.maximum(np.abs(cv2.Laplacian(inverse, cv2.CV_64F)), np.where(depth > 0, 0, 1))
-    bend = cv2.dilate(bend, np.ones((5, 5)))
-    stretch = np.sqrt(1 + u * u + v * v)[inside]
-    found = []
-    # pyrender renders four samples per pixel and keeps the depth of one; in OpenGL's standard pattern that sample is
-    # 1/8 and 3/8 of a pixel off the centre
-    for right, down in ((x, y) for x in (-3, -1, 1, 3) for y in (-3, -1, 1, 3)):
-        x, y = column[inside] - right / 8, row[inside] - down / 8
-        i, j = np.floor(x).astype(int), np.floor(y).astype(int)
-        top = inverse[j, i] * (1 - x + i) + inverse[j, i + 1] * (x - i)
-        bottom = inverse[j + 1, i] * (1 - x + i) + inverse[j + 1, i + 1] * (x - i)
-        one_plane = bend[j, i] < 2e-5
-        range_m = stretch / np.maximum(top * (1 - y + j) + bottom * (y - j), 1e-6)
-        error = np.abs(range_m - buffer.range_m[inside])[one_plane]
-        found.append((np.median(error), error.max(), one_plane.mean()))
-    median, worst, share = min(found)
-    assert share > 0.9
-    # pyrender's buffer of 24 bits and znear 0.5 resolves 0.2 mm at 40 m
-    assert median < 5e-4
-    assert worst < 5e-3
-
-
-def test_a_scene_far_from_the_origin_has_the_same_echo():
-    """At UTM coordinates, 4500 km from the origin, the image is that at the origin."""
-    away = np.array([500_000.0, 4_500_000.0, -30.0])
-    images = []
-    for offset in (np.zeros(3), away):
-        x, y, z = offset
-        bodies = [
-            sg.Body("floor", trimesh.creation.box((40, 40, 1)), sg.pose(x, y, z - 3)),
-            sg.Body("box", BOX, sg.pose(x + 6, y + 1, z - 1.5, 0.1, 0.2, 0.3)),
-        ]
-        # a mesh whose vertices are far from its own origin, too
-        rock = trimesh.creation.icosphere(2, 0.8)
-        rock.apply_translation((x + 8, y - 2, z))
-        bodies.append(sg.Body("rock", rock))
-        images.append(ping(bodies, pose=sg.pose(*offset, 0, 0.2, 0.1)).intensity)
-    # float64 at 4 500 km resolves a nanometre
-    assert np.abs(images[0] - images[1]).sum() < 1e-4 * images[0].sum()
-
-
 @pytest.mark.parametrize("roll, pitch, yaw", [(0, 0, 0), (0.3, -0.5, 2.0), (math.pi / 2, 0, 0), (0, -1.5, 1)])
 def test_the_fan_follows_the_sonar_s_pose(roll, pitch, yaw):
     """A ball at range 8 m, azimuth +20°, elevation -5° of the sonar appears there for every pose of the sonar."""
@@ -164,15 +89,6 @@ def test_the_fan_follows_the_sonar_s_pose(roll, pitch, yaw):
     assert result.elevation_rad[beam, k] == pytest.approx(elevation, abs=math.radians(0.7))
 
 
-def test_roll_by_90_degrees_turns_the_fan():
-    """An upright rod fills one beam of a level fan, and all beams of a fan rolled by 90 degrees."""
-    rod = [sg.Body("rod", trimesh.creation.cylinder(0.05, 30.0, sections=64), sg.pose(8, 0, 0))]
-    level = ping(rod).intensity.sum(axis=1)
-    upright = ping(rod, pose=sg.pose(0, 0, 0, math.pi / 2, 0, 0)).intensity.sum(axis=1)
-    assert (level > 0).sum() <= 3
-    assert (upright > 0).all()
-
-
 @pytest.mark.parametrize("inverted", [False, True])
 def test_back_face_culling_does_not_change_the_image(inverted, monkeypatch):
     """Back-face culling does not change the image, since nearer faces hide further ones."""
@@ -190,13 +106,6 @@ def test_back_face_culling_does_not_change_the_image(inverted, monkeypatch):
     assert difference < (1e-4 if inverted else 1e-12)
 
 
-def test_a_sonar_inside_a_closed_body_sees_its_walls():
-    room = sg.Body("room", trimesh.creation.box((12, 10, 8)))
-    result = ping([room])
-    assert (result.intensity.sum(axis=1) > 0).all()
-    assert result.range_m[result.intensity[30].argmax()] == pytest.approx(6.0, abs=0.1)
-
-
 def test_closedness():
     assert closedness(BOX.vertices, BOX.faces) == 1
     split = BOX.copy()
@@ -208,24 +117,6 @@ def test_closedness():
     assert closedness(BOX.vertices, one_turned) == 0
     flat = np.zeros((3, 3))
     assert closedness(flat, np.array([[0, 1, 2]])) == 0
-
-
-def test_an_open_sheet_echoes_on_both_sides():
-    sheet = trimesh.Trimesh([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], [[0, 1, 2], [0, 2, 3]])
-    front = ping([sg.Body("sheet", sheet, sg.pose(5, 0, 0))]).intensity
-    back = ping([sg.Body("sheet", sheet, sg.pose(5, 0, 0, 0, 0, math.pi))]).intensity
-    assert front.any()
-    np.testing.assert_allclose(front, back, rtol=1e-3, atol=1e-9)
-
-
-def test_bodies_nearer_than_range_min_cast_a_shadow_without_an_echo():
-    wall = sg.Body("wall", trimesh.creation.box((0.2, 30, 30)), sg.pose(10, 0, 0))
-    hand = sg.Body("hand", trimesh.creation.box((0.02, 0.1, 0.4)), sg.pose(0.3, 0, 0))
-    result = ping([wall, hand], labels=True)
-    middle = np.abs(np.degrees(result.azimuth_rad)) < 7
-    assert not result.intensity[middle].any()
-    assert (result.intensity[np.abs(np.degrees(result.azimuth_rad)) > 12].sum(axis=1) > 0).all()
-    assert set(np.unique(result.body_id)) == {0, 1}
 
 
 def test_reflectivity_of_bodies_and_of_faces():
@@ -285,36 +176,6 @@ def test_slivers_show_nothing(monkeypatch):
     assert (buffers[0].range_m > 0).sum() > 10_000
     np.testing.assert_array_equal(buffers[1].range_m, buffers[0].range_m)
     np.testing.assert_array_equal(buffers[1].echo, buffers[0].echo)
-
-
-def test_labels_name_the_strongest_body_and_do_not_change_the_echo():
-    bodies = [
-        sg.Body("floor", trimesh.creation.box((60, 60, 1)), sg.pose(0, 0, -3), 0.2),
-        sg.Body("left", BOX, sg.pose(8, 3, 0), 0.9),
-        sg.Body("right", BOX, sg.pose(8, -3, 0), 0.9),
-    ]
-    with simulate(bodies) as simulator:
-        plain = simulator.ping(np.eye(4))
-        labelled = simulator.ping(np.eye(4), labels=True)
-        alone = []
-        for k in range(3):
-            with simulate(
-                [body if i == k else replace(body, reflectivity=0.0) for i, body in enumerate(bodies)]
-            ) as one:
-                alone.append(one.ping(np.eye(4)).intensity)
-    np.testing.assert_array_equal(plain.intensity, labelled.intensity)
-    assert plain.body_id is None
-    assert plain.elevation_rad is None
-    strongest = np.argmax(alone, axis=0) + 1
-    strongest[np.max(alone, axis=0) == 0] = 0
-    np.testing.assert_array_equal(labelled.body_id, strongest)
-    assert (np.isnan(labelled.elevation_rad) == (labelled.body_id == 0)).all()
-    port = labelled.azimuth_rad[:, None] > 0.05
-    assert not (labelled.body_id == 3)[np.broadcast_to(port, labelled.body_id.shape)].any()
-    floor = labelled.body_id == 1
-    # the floor's top is 2.5 m below: its elevation follows from the range
-    expected = -np.arcsin(2.5 / np.broadcast_to(labelled.range_m, floor.shape)[floor])
-    np.testing.assert_allclose(labelled.elevation_rad[floor], expected, atol=math.radians(1.0))
 
 
 def test_glsl_functions_equal_their_numpy_twins():
@@ -452,11 +313,11 @@ def test_a_failure_of_the_driver_is_an_error_and_no_black_ping(monkeypatch, fail
         np.testing.assert_array_equal(simulator.ping(sg.pose()).intensity, expected)
 
 
-# each error at the first call, and one at each of the others
+# each error at the first call, and one at the last
 @pytest.mark.parametrize(
     "at, failure",
     [
-        pytest.param(at, failure, marks=pytest.mark.slow if at and failure != 0x0505 else ())
+        pytest.param(at, failure, marks=pytest.mark.slow if at and (at, failure) != (3, 0x0505) else ())
         for at, failure in product(range(4), (0x0502, 0x0505, 0x0507))
     ],
 )
