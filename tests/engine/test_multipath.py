@@ -366,17 +366,6 @@ def test_a_body_before_the_reflector_removes_its_multipath(perfect):
     assert multipath_echo(hidden, pose).sum() < 0.01 * multipath_echo(bare, pose).sum()
 
 
-@pytest.mark.slow
-def test_sequences_and_reruns_give_the_same_bytes(perfect):
-    perfect("floor", "wall", "end")
-    scene, pose, _ = SCENES["tank"]
-    poses = [pose @ sg.pose(0.05 * k, yaw=0.01 * k) for k in range(6)]
-    with sg.Simulator(scene, SONAR, MULTIPATH, sg.Sampling(2, 80)) as simulator:
-        one_by_one = [simulator.ping(p, labels=True).intensity for p in poses]
-        for ping, single in zip(simulator.pings(poses, labels=True), one_by_one, strict=True):
-            np.testing.assert_array_equal(ping.intensity, single)
-
-
 def test_multipath_with_a_table_of_beams(perfect):
     perfect("wall")
     scene, pose, _ = SCENES["wall beside"]
@@ -740,16 +729,7 @@ def test_invalid_surfaces_raise_errors(field, value):
         sg.Scene([], **{field: value})
 
 
-def test_the_meta_of_a_ping_has_its_multipath(perfect):
-    perfect("floor")
-    scene, pose, _ = SCENES["floor, rolled and pitched"]
-    with sg.Simulator(scene, SONAR, MULTIPATH, sg.Sampling(1, 40)) as simulator:
-        assert simulator.ping(pose).meta["acoustics"]["multipath"] == "incoherent"
-    with sg.Simulator(scene, SONAR, IDEAL, sg.Sampling(1, 40)) as simulator:
-        assert simulator.ping(pose).meta["acoustics"]["multipath"] == "none"
-
-
-@pytest.mark.parametrize("depth_m", [2.0, 10.0, 40.0, 2000.0])
+@pytest.mark.parametrize("depth_m", [2.0, 2000.0])
 def test_deep_water_does_not_hide_bodies(depth_m):
     walls = [sg.Body("wall", trimesh.creation.box((0.2, 2, 2)), sg.pose(x, 0, -depth_m)) for x in (0.9, 3, 8)]
     for wall in walls:
@@ -959,7 +939,7 @@ def test_a_small_body_keeps_its_multipath(radius_m):
 
 
 BELOW_THE_APERTURE = pytest.mark.parametrize(
-    ("x", "y", "radius_m"), [(10.0, 0.0, 0.05), (8.0, 1.0, 0.1), (12.0, 2.0, 0.15), (13.0, 0.0, 0.17)]
+    ("x", "y", "radius_m"), [(10.0, 0.0, 0.05), pytest.param(12.0, 2.0, 0.15, marks=pytest.mark.slow)]
 )
 UPWARD = sg.Sonar("test", 900e3, 128, 400, 60.0, 20.0, 60 / 128, 0.5, 20.0)
 

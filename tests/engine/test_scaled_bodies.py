@@ -94,7 +94,7 @@ FIXED, ADAPTIVE = {"sampling": SAMPLING}, {"tolerance": 0.05}
     [
         pytest.param("cpu", FIXED, 2.0, id="cpu-fixed-2.0"),
         pytest.param("cpu", ADAPTIVE, 0.5, id="cpu-adaptive-0.5"),
-        pytest.param("opengl", FIXED, 2.0, id="opengl-fixed-2.0"),
+        pytest.param("opengl", FIXED, 2.0, id="opengl-fixed-2.0", marks=pytest.mark.slow),
         pytest.param("opengl", FIXED, 0.5, id="opengl-fixed-0.5"),
         pytest.param("cpu", FIXED, 0.5, id="cpu-fixed-0.5", marks=pytest.mark.slow),
         pytest.param("cpu", ADAPTIVE, 2.0, id="cpu-adaptive-2.0", marks=pytest.mark.slow),

@@ -110,11 +110,6 @@ def test_shadows_of_the_bodies_of_each_pose(it):
     assert len({ping.shadow.tobytes() for ping in together}) == len(POSES)
 
 
-def test_pings_from_one_pose_with_bodies_that_move(it):
-    together = list(it.pings([POSES[0]] * len(MOVED), bodies=iter(MOVED)))
-    check_all_same(together, (it.ping(POSES[0], bodies=moved) for moved in MOVED))
-
-
 def test_several_sectors_and_a_larger_image_later():
     """A batch needs a larger image than the one before."""
     wide = sg.Sonar("wide", 900e3, 128, 200, 250.0, 20.0, 2.0, 0.5, 20.0)
@@ -152,7 +147,7 @@ def test_poses_as_one_array(it):
     check_all_same(together, map(it.ping, POSES[:3]))
 
 
-@pytest.mark.parametrize("stop", [1, 2, 4, 5, 9])
+@pytest.mark.parametrize("stop", [1, 4, 9])
 def test_an_endless_sequence_may_be_stopped(it, stop):
     """A caller may stop after any ping; the simulator goes on."""
     requested = []
@@ -201,7 +196,7 @@ def test_invalid_poses_raise_errors():
         assert error_of(lambda: list(it.pings(POSES))) == "this Simulator is closed; make a new one"
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [1, 3])
 def test_pings_after_a_sequence_that_was_left_follow_the_last_one_that_came_out(n):
     """Not those that were made ahead, more of them with more cores, which lie far from the one after."""
     path = [sg.pose(0.01 * k) for k in range(n)] + [sg.pose(0.9)] * 5
@@ -348,11 +343,11 @@ def test_the_simulator_is_not_locked_between_pings_of_a_sequence():
 
 def test_other_pings_between_those_of_a_sequence(it):
     """The simulator can make other pings while a sequence waits."""
-    expected = [it.ping(pose).intensity for pose in POSES]
-    there = it.ping(POSES[7], bodies={"box": None}).intensity
-    for ping, alone in zip(it.pings(POSES), expected, strict=True):
-        np.testing.assert_array_equal(ping.intensity, alone)
-        np.testing.assert_array_equal(it.ping(POSES[7], bodies={"box": None}).intensity, there)
+    expected = [it.ping(pose, labels=True) for pose in POSES]
+    there = it.ping(POSES[7], bodies={"box": None})
+    for ping, alone in zip(it.pings(POSES, labels=True), expected, strict=True):
+        check_same(ping, alone)
+        check_same(it.ping(POSES[7], bodies={"box": None}), there)
 
 
 def test_two_interleaved_sequences(it):
@@ -361,12 +356,6 @@ def test_two_interleaved_sequences(it):
     for one, other, alone, alone_back in both:
         np.testing.assert_array_equal(one.intensity, alone)
         np.testing.assert_array_equal(other.intensity, alone_back)
-
-
-@pytest.mark.parametrize("labels", [False, True])
-def test_a_single_ping_after_each_of_a_sequence(it, labels):
-    """Single pings do not overwrite the images of a sequence in progress."""
-    check_all_same(it.pings(POSES, labels=labels), (it.ping(pose, labels=labels) for pose in POSES))
 
 
 def test_pings_from_another_thread_during_a_sequence(it):
@@ -710,41 +699,23 @@ def test_closing_the_simulator_ends_a_sequence_with_an_error():
         assert another.ping(POSES[0]).intensity.any()
 
 
-@pytest.mark.parametrize(
-    "more", [{name: [None]} for name in ("times_s", "bodies", "velocities", "reflectivities", "waters")]
-)
-def test_all_lists_must_be_as_long_as_the_poses(more):
-    scene, sonar, refused = (
-        sg.Scene([]),
-        sg.load_sonar("p900-45"),
-        r"must be as many as poses \(got 1 for 3 poses",
-    )
-    with (
-        sg.Simulator(scene, sonar, sampling=sg.Sampling(1, 8)) as simulator,
-        pytest.raises(sg.Error, match=refused),
-    ):
-        list(simulator.pings([np.eye(4)] * 3, **more))
+ONE_A_POSE = {"times_s": 0.0, "bodies": {"box": None}, "velocities": None, "reflectivities": {"box": 0.1}}
+ONE_A_POSE |= {"waters": None}
 
 
-@pytest.mark.parametrize(
-    "more",
-    [
-        {"times_s": [0.0] * 5},
-        {"bodies": [{"box": None}] * 5},
-        {"velocities": [None] * 5},
-        {"reflectivities": [{"box": 0.1}] * 5},
-        {"waters": [None] * 5},
-    ],
-)
-def test_an_iterator_that_ends_before_the_poses_is_an_error_after_the_pings_before(it, more):
-    ((name, values),) = more.items()
-    pings, made = it.pings((pose for pose in POSES), **{name: iter(values)}), []
-    refused = rf"^{name} must be as many as poses \(got 5; pose 5, counted from 0, has none\)$"
-    with pytest.raises(sg.Error, match=refused):
-        made.extend(pings)
-    assert len(made) == 5
-    with pytest.raises(sg.Error, match=refused.replace(name, "times_s")):
-        it.plan(iter(POSES), times_s=iter([0.0] * 5))
+def test_all_lists_must_be_as_long_as_the_poses(it):
+    for name, value in ONE_A_POSE.items():
+        message = error_of(lambda name=name, value=value: list(it.pings(POSES[:3], **{name: [value]})))
+        assert message.startswith(f"{name} must be as many as poses (got 1 for 3 poses")
+
+
+def test_an_iterator_that_ends_before_the_poses_is_an_error_after_the_pings_before(it):
+    refused = "{} must be as many as poses (got 5; pose 5, counted from 0, has none)".format
+    for name, value in ONE_A_POSE.items():
+        pings, made = it.pings((pose for pose in POSES), **{name: iter([value] * 5)}), []
+        assert error_of(made.extend, pings) == refused(name)
+        assert len(made) == 5
+    assert error_of(it.plan, iter(POSES), times_s=iter([0.0] * 5)) == refused("times_s")
 
 
 def test_an_iterator_may_go_on_beyond_the_poses(it):
