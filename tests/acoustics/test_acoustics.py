@@ -1,6 +1,5 @@
 """The settings of `Acoustics`, and its range gain against identities."""
 
-import doctest
 import json
 import warnings
 from dataclasses import FrozenInstanceError, asdict, fields, replace
@@ -9,7 +8,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from sonar_gl.acoustics import acoustics, beam_pattern, boundary, pulse, water
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import Water
 from sonar_gl.core.errors import Error
@@ -177,16 +175,6 @@ def test_range_gain_is_tvg_times_transmission_loss(sonar, assumed):
     np.testing.assert_allclose(tvg * without.range_gain(r, sonar), acoustics.range_gain(r, sonar), rtol=1e-12)
     assert (without.tvg(r, sonar) == 1).all()
     assert np.isfinite(acoustics.tvg([1e5], sonar).astype(np.float32)).all()
-
-
-def test_the_tvg_of_other_range_laws_is_one(sonar):
-    for law in ("constant", "printed", "inverse"):
-        assert (Acoustics.physical(range_law=law).tvg(sonar.range_m, sonar) == 1).all()
-
-
-@pytest.mark.parametrize("module", [acoustics, beam_pattern, boundary, pulse, water])
-def test_docstring_examples(module):
-    assert doctest.testmod(module).failed == 0
 
 
 def test_meta_survives_json():

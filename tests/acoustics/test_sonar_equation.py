@@ -33,10 +33,10 @@ def test_reverberation_of_a_floor_follows_the_sonar_equation(name):
 
 
 def test_the_tool_prints_one_row_per_case(capsys, monkeypatch):
-    monkeypatch.setattr(sonar_equation, "CASES", dict(list(sonar_equation.CASES.items())[:2]))
+    monkeypatch.setattr(sonar_equation, "CASES", dict(list(sonar_equation.CASES.items())[:1]))
     sonar_equation.main()
     rows = capsys.readouterr().out.splitlines()
-    assert len(rows) == 1 + 2
+    assert len(rows) == 1 + 1
     assert all(float(row.split()[-2]) < WITHIN_DB for row in rows[1:])
 
 

@@ -1,6 +1,5 @@
 """The price of terms in a scene, and the acoustics that it needs."""
 
-import doctest
 from dataclasses import replace
 from functools import partial
 
@@ -382,10 +381,6 @@ def test_needed_acoustics_are_reproducible():
     assert (first.beam_pattern != "box") == ("azimuth pattern" in on)
     assert first.pulse == ("pulse" in on)
     assert first.profile == "physical" and first.tvg_k == 20
-
-
-def test_examples():
-    assert doctest.testmod(terms).failed == 0
 
 
 def test_mistakes():

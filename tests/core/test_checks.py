@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import doctest
 import functools
 import math
 
 import numpy as np
 import pytest
 
-from sonar_gl.core import checks, errors
 from sonar_gl.core.checks import check_choice, check_function, check_number, check_whole_number, frozen_array
 from sonar_gl.core.errors import Error
 from tests.support.errors import error_of
-
-
-@pytest.mark.parametrize("module", [checks, errors], ids=["checks", "errors"])
-def test_examples_in_docstrings(module):
-    failed, tried = doctest.testmod(module)
-    assert not failed and tried
 
 
 @pytest.mark.parametrize(
