@@ -230,12 +230,6 @@ def test_noise_in_words_and_amounts():
 NO_NOISE = {f.name: f.default for f in fields(sg.Noise)}
 
 
-def test_salt_is_not_the_strongest_echo():
-    out = render("--noise", "salt_and_pepper=0.2", "--profile", "ideal", "--format", "npz")
-    assert (ping().intensity == 1.0).sum() > 100
-    assert " 0.0 dB" not in out
-
-
 def test_tolerance_chooses_the_samples():
     rows = []
     for tolerance in (0.05, 0.005):
@@ -469,15 +463,6 @@ def test_a_warning_is_told_once():
     Path("still.csv").write_text("t,x,y,z,roll,pitch,yaw\n" + "0,0,0,0,0,0,3.14159265\n" * 3)
     _, _, err = run("render", "tank.sdf", "--sonar", "small.toml", "--poses", "still.csv", "--format", "npz")
     assert err.count("warning: ") == err.count("\n") == 1
-
-
-def test_speckle_and_the_founding_papers_picture():
-    arguments = ("--sonar", "small.toml", "--style", "demarco2015", "--noise", "physical", "--height", 40)
-    status, _, err = run("render", "tank.sdf", *arguments)
-    assert status == 0
-    first, second = err.splitlines()
-    assert first == "warning: pictures of style demarco2015 have no speckle and no gaussian noise"
-    assert second == "warning: pictures of style demarco2015 have no receiver noise and no interference"
 
 
 # --- the other commands
@@ -1120,7 +1105,7 @@ def test_verify_refuses_what_rays_know_nothing_of():
 
 
 @pytest.mark.parametrize("words", [("view",), ("emulate", "oculus"), ("emulate", "ping360"), ("ros2",)])
-@pytest.mark.parametrize("duration", ["-1", "nan", "inf"])
+@pytest.mark.parametrize("duration", ["-1", "nan"])
 def test_a_duration_must_be_a_time(words, duration):
     shown = f"error: --duration must lie in 0..1e+09 (got {duration}; seconds)\n"
     assert run(*words, "pylon", "--duration", duration) == (2, "", shown)

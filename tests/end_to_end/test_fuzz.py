@@ -23,7 +23,9 @@ LIGHT = settings(FUZZ, max_examples=20)
 
 ODD = [0.0, -0.0, 1e-30, 1e-9, 1e-3, 1.0, -1.0, 20.0, 1e4, 5e5, 1e9, 1e30, 1e300, np.inf, -np.inf, np.nan]
 odd_numbers = st.one_of(st.sampled_from(ODD), st.floats(-30, 30), st.floats(width=32))
-any_value = st.one_of(odd_numbers, st.integers(-5, 10**6), st.text(max_size=5), st.none(), st.booleans())
+any_value = st.one_of(
+    odd_numbers, st.integers(-5, 10**6), st.text("a0.,- é漢\n", max_size=5), st.none(), st.booleans()
+)
 tame_numbers = st.one_of(st.floats(-30, 30), st.sampled_from([0.0, 1e-9, 1e-3, 5e5, 1e7]))
 
 

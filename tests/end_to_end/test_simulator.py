@@ -118,15 +118,6 @@ def test_simulators_are_independent():
         it.close()
 
 
-def test_a_ping_in_another_thread():
-    with simulator() as it:
-        here, there = it.ping(np.eye(4)).intensity, []
-        thread = threading.Thread(target=lambda: there.append(it.ping(np.eye(4)).intensity))
-        thread.start()
-        thread.join()
-    np.testing.assert_array_equal(here, there[0])
-
-
 def test_pings_in_two_threads_at_once():
     poses = [sg.pose(0, y, 0) for y in (-1, 0, 1, 2)]
     with simulator() as it:
@@ -449,8 +440,8 @@ MILLIMETRES = (
 )
 
 
-@pytest.mark.parametrize("azimuth_fov_deg", [60.0, 130.0, 360.0])
-@pytest.mark.parametrize("direction", [0.0, 0.4, -0.4])
+@pytest.mark.parametrize("azimuth_fov_deg", [60.0, 360.0])
+@pytest.mark.parametrize("direction", [0.0, 0.4])
 def test_a_surface_too_far_to_be_drawn_is_named_with_its_distance(azimuth_fov_deg, direction):
     """A tank in millimetres: the far plane of a range of 20 m cuts everything away."""
     tank = sg.Body("tank", trimesh.creation.box((1000, 4000, 3000)), sg.pose(2500), 1.0)
@@ -463,7 +454,7 @@ def test_a_surface_too_far_to_be_drawn_is_named_with_its_distance(azimuth_fov_de
     ]
 
 
-@pytest.mark.parametrize("azimuth_fov_deg", [90.0, 180.0, 360.0])
+@pytest.mark.parametrize("azimuth_fov_deg", [90.0, 360.0])
 @pytest.mark.parametrize(
     ("share", "elevation_deg", "is_in_fan"), [(0.49, 9.8, True), (0.49, 11, False), (0.25, -11, False)]
 )
@@ -635,12 +626,6 @@ def test_of_several_far_surfaces_in_the_fan_the_nearest_is_named(order):
     ]
 
 
-def test_a_ping_with_an_echo_does_not_warn():
-    with simulator() as it, warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert it.ping(np.eye(4)).intensity.any()
-
-
 NAN_MESH = trimesh.Trimesh([[0, 0, np.nan], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
 NAN = np.eye(4)
 NAN[0, 3] = np.nan
@@ -728,14 +713,6 @@ def test_a_simulator_refuses_to_be_copied_and_still_pings(take):
     )
 
 
-def test_a_closed_simulator_raises_an_error():
-    it = simulator()
-    it.close()
-    with pytest.raises(sg.Error) as caught:
-        it.ping(np.eye(4))
-    assert str(caught.value) == "this Simulator is closed; make a new one"
-
-
 @pytest.mark.usefixtures("few_first_rays")
 def test_reference_and_raster_agree_on_the_pylons():
     """Ray casting by Embree and rasterization, which share no code, agree on a bundled scene with flat faces."""
@@ -744,12 +721,11 @@ def test_reference_and_raster_agree_on_the_pylons():
     sonar = replace(SONAR, n_beams=64, azimuth_fov_deg=45.0, beam_width_deg=1.0, range_max_m=30.0)
     truth = sg.reference_ping(flat, sonar, scene.sonar_pose, sg.Acoustics.ideal(), error=0.03).intensity
     errors = []
-    for tolerance in (0.05, 0.01, 0.002):
+    for tolerance in (0.05, 0.01):
         with sg.Simulator(flat, sonar, sg.Acoustics.ideal(), tolerance=tolerance) as it:
             errors.append(np.abs(it.ping(scene.sonar_pose).intensity - truth).sum() / truth.sum())
     assert errors[1] < 0.01
     assert errors[0] > 2 * errors[1]
-    assert errors[2] < errors[1]
 
 
 @pytest.mark.slow
