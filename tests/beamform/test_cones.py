@@ -176,9 +176,7 @@ def test_a_wall_all_round_has_its_reflectivity_however_low_the_beams(elevation_p
 
 
 @pytest.mark.parametrize("elevation_deg", [-9.0, 0.0, 9.0])
-@pytest.mark.parametrize(
-    "azimuth_deg", [-60.0, 55.0, *(pytest.param(one, marks=pytest.mark.slow) for one in (-30.0, 5.0))]
-)
+@pytest.mark.parametrize("azimuth_deg", [-60.0, 55.0])
 def test_a_ball_stands_where_the_array_shows_it(azimuth_deg, elevation_deg):
     """Upright beams show it at its azimuth, a degree and more off."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
@@ -268,9 +266,7 @@ def test_the_ray_caster_agrees_on_wide_beams_that_are_steered_far():
     """A beam of 20 degrees at 68: side lobes reach 158 degrees from its axis, still before the array."""
     sonar = make_sonar(137.0, 5, 20.0, 16.0, steered="straight", element_error_db=-38.0)
     acoustics = sg.Acoustics.physical(elevation_pattern="box")
-    bodies = [
-        sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(2, -5, 0), 0.5),
-    ]
+    bodies = [sg.Body("ball", trimesh.creation.icosphere(3, 1.0), sg.pose(2, -5, 0), 0.5)]
     reference = reference_ping(sg.Scene(bodies), sonar, np.eye(4), acoustics, error=0.03).intensity
     ping = echo_of(sonar, acoustics, bodies, sampling=sg.Sampling(16, 128))
     assert np.abs(ping.intensity - reference).sum() < 0.03 * reference.sum()

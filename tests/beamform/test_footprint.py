@@ -82,12 +82,9 @@ def test_a_body_that_ends_at_an_edge_of_bins_has_the_echo_that_it_has_within_a_b
         (0.103, 1e-9, 1e-9),  # facing: one bin
         (0.103, 0.0, 0.0),
         (0.1, 0.02, 0.0),  # a box
-        pytest.param(0.1, 0.0, 0.02, marks=pytest.mark.slow),  # a and b exchanged
         (0.1, 0.02, 0.01),  # a trapezoid
         (0.1, 0.015, 0.015),  # a triangle
-        pytest.param(0.04, 0.03, 0.004, marks=pytest.mark.slow),  # past the last bin
         (0.5, 1.2, 0.0),  # from before the first bin
-        pytest.param(0.3, 0.25, 0.04, marks=pytest.mark.slow),
         (0.3, 0.28, 0.1),  # the ramp of a trapezoid reaches beyond the horizon
         (0.1, 0.053, 0.2),  # and so does its middle part
     ],
@@ -133,14 +130,7 @@ def test_slanted_bins_lie_between_none_and_twice_even_ones(slant):
             assert bins.min() >= 0 and (bins <= 2 * even + 1e-6 * even.max()).all()
 
 
-@pytest.mark.parametrize(
-    ("slant", "end"),
-    [
-        (-1.0, 1),
-        (1.0, -1),
-        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((1.0, 1), (-1.0, -1), (0.0, 1), (0.0, -1))),
-    ],
-)
+@pytest.mark.parametrize(("slant", "end"), [(-1.0, 1), (1.0, -1)])
 def test_no_bin_is_negative_where_a_footprint_ends_at_the_edge_of_one(slant, end):
     """By rounding such an end lies on either side of the edge, and the density there on either side of zero."""
     rng = np.random.default_rng(2)

@@ -314,10 +314,7 @@ def test_reflectivity_by_pixel_and_by_body():
         assert np.allclose(ping(1).intensity, 2 * labelled.intensity, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "missing",
-    [0.0, np.nan, -np.inf, *(pytest.param(one, marks=pytest.mark.slow) for one in (-1.0, np.inf, 1e9))],
-)
+@pytest.mark.parametrize("missing", [0.0, np.nan, -np.inf])
 def test_pixels_without_depth_are_empty(missing):
     shapes = box([9, 1, -2], [11, 3, 1]), sphere([12, -3, 0], 1.0), plane([0, 0, -1], 0.6)
     _, depth, normals, _ = Cast(*shapes).images(CAMERA)
@@ -404,7 +401,6 @@ PITCHED = sg.pose(pitch=0.3, yaw=0.5)[:3, :3]
     [
         lambda n: n @ (PITCHED @ CAMERA.rotation).T,  # those of the world
         lambda n: n @ CAMERA.rotation.T,  # those of the sonar
-        pytest.param(lambda n: n[..., ::-1], marks=pytest.mark.slow),
     ],
 )
 def test_normals_in_other_axes_give_a_hint_once(change):
@@ -494,12 +490,7 @@ def test_edge_on_faces_and_invalid_normals_stay_finite():
     for none in (0.0, np.nan, np.inf):
         assert (ping_of(depth, normals=0 * normals + none).intensity == found.intensity).all()
     other = ping_of(depth, normals=-3.0 * normals)
-    assert np.allclose(
-        other.intensity,
-        ping_of(depth, normals=normals).intensity,
-        rtol=1e-4,
-        atol=1e-7,
-    )
+    assert np.allclose(other.intensity, ping_of(depth, normals=normals).intensity, rtol=1e-4, atol=1e-7)
     rays = rays_of(CAMERA) @ CAMERA.rotation
     across = np.cross(rays, [0.0, 1.0, 0.0])
     for tilt in (0.0, 1e-9, 1e-4):
@@ -734,10 +725,7 @@ GOOD = np.full((30, 40), 5.0)
         ({"camera": "wide"}, "camera must be a Camera"),
         ({"camera": []}, "list of at least one"),
         ({"camera": [None]}, "camera must be a Camera"),
-        (
-            {"several": 2, "depth": GOOD},
-            "depth must be a list of .* cameras, 2 .got ndarray",
-        ),
+        ({"several": 2, "depth": GOOD}, "depth must be a list of .* cameras, 2 .got ndarray"),
         (
             {"several": 1},
             "depth must be a list of .* cameras, 1 .got ndarray; or give the camera alone, without a list",
@@ -900,10 +888,7 @@ def test_a_forked_process_may_ping():
 
 @pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
 def test_a_sensor_refuses_to_be_copied(take):
-    with (
-        embed.Sensor(SONAR, IDEAL) as sensor,
-        pytest.raises(sg.Error, match="a Sensor cannot be copied"),
-    ):
+    with embed.Sensor(SONAR, IDEAL) as sensor, pytest.raises(sg.Error, match="a Sensor cannot be copied"):
         take(sensor)
 
 

@@ -104,14 +104,7 @@ def check(ratios):
     assert abs(ratios.mean() - 1) < BIAS
 
 
-@pytest.mark.parametrize(
-    "diameter, range_m, beam_width, number",
-    [
-        *fast_ones(NUMBERED, FAST),
-        pytest.param(0.050, 50.0, WIDE_BEAMS_DEG, 8, marks=pytest.mark.slow),
-        *HARD_ALONE,
-    ],
-)
+@pytest.mark.parametrize("diameter, range_m, beam_width, number", [*fast_ones(NUMBERED, FAST), *HARD_ALONE])
 def test_rods_alone_keep_their_echo_by_tolerance(diameter, range_m, beam_width, number):
     """Rods of 0.3 to 3 m, also end on, 200 shifts of 1 mm, one `Simulator`."""
     rod, rng = rod_of(diameter, range_m, beam_width, number)

@@ -59,7 +59,6 @@ def test_the_formula_gives_the_target_strength_of_a_sphere(slope):
     ("how", "slope"),
     [  # rays take the longer, the narrower the lobe is
         *(("raster", slope) for slope in (0.02, 0.05, 0.1, 0.4)),
-        *(pytest.param("rays", slope, marks=pytest.mark.slow) for slope in (0.02, 0.05, 0.1)),
         ("rays", 0.4),
     ],
 )

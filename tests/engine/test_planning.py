@@ -115,14 +115,7 @@ class TestPlan:
             alone = [simulator.plan([pose]).level for pose in poses]
         assert plan.level == max(alone)
 
-    @pytest.mark.parametrize(
-        "change",
-        [
-            "bodies",
-            "reflectivity",
-            *(pytest.param(one, marks=pytest.mark.slow) for one in ("place", "add", "water")),
-        ],
-    )
+    @pytest.mark.parametrize("change", ["bodies", "reflectivity"])
     def test_a_plan_estimates_no_error_of_other_bodies_and_water(self, change):
         """The estimate was that of the plan: a thousandth, where rods that came into view erred by a sixth."""
         moved = {"rod 0": sg.pose(5)}

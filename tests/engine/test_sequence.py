@@ -69,7 +69,7 @@ def it():
 
 
 @pytest.mark.parametrize("labels", [False, True])
-@pytest.mark.parametrize("n", [1, 4, 11, *(pytest.param(one, marks=pytest.mark.slow) for one in (3, 5, 8))])
+@pytest.mark.parametrize("n", [1, 4, 11])
 def test_a_sequence_gives_the_pings_of_single_calls(it, n, labels):
     """The numbers of pings are less than a batch, whole batches, and in between."""
     together = list(it.pings(POSES[:n], labels=labels))
@@ -292,15 +292,7 @@ def test_a_change_of_the_echo_causes_a_new_estimate(monkeypatch):
     check_all_same(together, alone)
 
 
-@pytest.mark.parametrize(
-    "good",
-    [
-        0,
-        4,
-        *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 6, 8)),
-        *(pytest.param(one, marks=pytest.mark.slow) for one in (3, 9)),
-    ],
-)
+@pytest.mark.parametrize("good", [0, 4])
 @pytest.mark.parametrize("way", ["pose", "raise", "bodies"])
 def test_an_error_in_the_poses_is_raised_in_order(good, way):
     """The pings before the error come first, then the error itself; the simulator goes on."""
@@ -678,7 +670,7 @@ def test_memory_does_not_grow():
     assert now < few + 16 * 51_200
 
 
-@pytest.mark.parametrize("after", [1, 4, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 5, 7))])
+@pytest.mark.parametrize("after", [1, 4])
 def test_an_error_in_the_caller_s_loop_is_raised(after):
     """The block closes the simulator while a batch is in progress; nothing waits for ever."""
     with pytest.raises(KeyError), simulator(sg.Sampling(16, 600)) as it:

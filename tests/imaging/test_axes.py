@@ -274,10 +274,8 @@ def test_labels_of_arcs_do_not_overlap(monkeypatch, fov_deg, height, range_m):
             assert right <= other[0] or other[1] <= left or bottom <= other[2] or other[3] <= top
 
 
-@pytest.mark.parametrize(
-    "range_m", [0.005, 900.0, 20000.0, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.3, 30.0))]
-)
-@pytest.mark.parametrize("height", [100, pytest.param(300, marks=pytest.mark.slow), 1000])
+@pytest.mark.parametrize("range_m", [0.005, 900.0, 20000.0])
+@pytest.mark.parametrize("height", [100, 1000])
 @pytest.mark.parametrize("fov_deg", [2, 20, 45, 90, 130, 230])
 def test_labels_of_arcs_lie_beside_the_fan_and_within_the_picture(monkeypatch, fov_deg, height, range_m):
     """Long ones, and those in the wide letters of OpenCV 4, lay on the echoes of the outermost beams."""

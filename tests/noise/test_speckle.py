@@ -243,7 +243,7 @@ def test_beams_that_do_not_overlap_are_independent():
 # --- tapers
 
 
-@pytest.mark.parametrize("fov_deg", [2.0, pytest.param(10.0, marks=pytest.mark.slow), 130.0, 250.0])
+@pytest.mark.parametrize("fov_deg", [2.0, 130.0, 250.0])
 @pytest.mark.parametrize("width_deg", [1.0, 15.0])
 @pytest.mark.parametrize(
     "spread", [lambda x: x, lambda x: np.arcsin(0.95 * x) / math.asin(0.95), lambda x: x**3]
@@ -272,9 +272,7 @@ def test_tapered_beams_all_around(width_deg):
     assert np.abs((matrix @ matrix[0]) ** 2 - expected).max() < 3e-3
 
 
-@pytest.mark.parametrize(
-    "side_lobe_db", [20.0, 43.0, *(pytest.param(one, marks=pytest.mark.slow) for one in (30.0, 41.0, 60.0))]
-)
+@pytest.mark.parametrize("side_lobe_db", [20.0, 43.0])
 @pytest.mark.parametrize("fov_deg", [10.0, 130.0])
 def test_taylor_arrays_correlate_as_theirs(side_lobe_db, fov_deg):
     azimuth, series = fan(fov_deg, 256), taper_series("taylor", side_lobe_db)
