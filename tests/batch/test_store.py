@@ -60,7 +60,7 @@ def values_of(numbers):
 @pytest.mark.parametrize(
     ("part", "chunk"),
     [
-        *((1, 1), (12, 4), (16, 8), (40, 8)),
+        *((1, 1), (12, 4), (40, 8)),
         *(pytest.param(*sizes, marks=pytest.mark.slow) for sizes in ((4, 4), (8, 8), (15, 1), (30, 2))),
     ],
 )

@@ -38,7 +38,6 @@ def folder(tmp_path, monkeypatch, timed_once, few_first_rays):
         ("render", "evil.sdf", *QUICK, "--height", 60, "--labels"),
         ("plan", "evil.sdf", *QUICK),
         ("verify", "evil.sdf", *QUICK, "--bins", 20),
-        ("plan", "evil.sdf", *QUICK, "--without", "nothing"),
         ("render", "evil.sdf", *QUICK, "--only", f"{EVIL}?"),
         ("render", f"{EVIL}.sdf", *QUICK),
         ("plan", "evil.sdf", "--sonar", f"{EVIL}.toml"),

@@ -6,7 +6,7 @@ import math
 import os
 import warnings
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from types import SimpleNamespace
 
 import moderngl
@@ -81,6 +81,12 @@ def names(scene):
 def simulate(scene, sonar=SONAR, acoustics=None, sampling=SAMPLING, pose=POSE):
     with sg.Simulator(scene, sonar, acoustics, sampling) as simulator:
         return simulator.ping(pose, labels=True)
+
+
+@cache
+def true_ping():
+    """Return the ping of SCENE that a host is compared with."""
+    return simulate(SCENE)
 
 
 def difference(ping, true):
@@ -172,7 +178,7 @@ def test_noise_and_motion_act_as_in_the_simulator(host):
 
 def test_the_host_may_change_bindings_while_it_draws(host, sensor):
     """A host that draws a shadow map returns to our framebuffer, but leaves other pixel stores and buffers."""
-    true = simulate(SCENE)
+    true = true_ping()
     for sector in sensor.sectors(POSE):
         with sector:
             ours = GL.glGetIntegerv(GL.GL_DRAW_FRAMEBUFFER_BINDING)
@@ -390,7 +396,7 @@ def test_a_ping_needs_all_sectors_drawn(host):
 
 
 def test_an_exception_inside_a_sector_restores_the_host_s_state(host, sensor):
-    true = simulate(SCENE)
+    true = true_ping()
     GL.glViewport(1, 2, 3, 4)
     (sector,) = sensor.sectors(POSE)
     with pytest.raises(KeyError, match="the host's"), sector:
@@ -584,7 +590,7 @@ def test_more_samples_than_the_driver_supports(monkeypatch):
 
 
 def test_sectors_in_another_thread_raise_an_error(host, sensor):
-    true = simulate(SCENE)
+    true = true_ping()
     (sector,) = sensor.sectors(POSE)
     for call in (lambda: sensor.sectors(POSE), sector.__enter__):
         (message,) = in_another_thread(call)
@@ -643,7 +649,7 @@ def test_an_opengl_error_of_the_host_stays_pending(host, sensor, error):
 
 def test_a_host_that_changes_the_context_while_it_draws(host, sensor, context):
     """If another context is current at the end of a block, it stays unchanged; the sonar goes on with the first."""
-    true = simulate(SCENE)
+    true = true_ping()
     (sector,) = sensor.sectors(POSE)
     other = None
     was = egl.current()
@@ -846,7 +852,7 @@ def test_a_host_far_from_the_origin(sensor):
     """At UTM coordinates float32 errs by centimetres, unless the host multiplies the matrices in float64."""
     far = sg.pose(450_000.3, 5_400_000.7, 0)
     moved = sg.Scene([replace(body, pose=far @ body.pose) for body in SCENE.bodies])
-    host, true = gl_host.Program(moved), simulate(SCENE)
+    host, true = gl_host.Program(moved), true_ping()
     errors = []
     for in_double in (False, True):
         for sector in sensor.sectors(far @ POSE):
@@ -911,7 +917,7 @@ def test_contexts_of_any_attributes_can_be_joined(is_newest, more, newest_versio
         assert host.platform() == current
     assert host.gl.errors() == []
     host.destroy()
-    assert np.array_equal(joined.intensity, simulate(SCENE).intensity)
+    assert np.array_equal(joined.intensity, true_ping().intensity)
 
 
 def test_a_context_that_lets_none_join_says_why_and_what_to_do(monkeypatch):

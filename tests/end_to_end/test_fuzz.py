@@ -183,7 +183,7 @@ def test_any_scene_sonar_and_pose():
 def test_any_tolerance():
     made = Counter()
 
-    @LIGHT
+    @settings(FUZZ, max_examples=12)
     @given(
         sonar=sonars(),
         thing=bodies(),

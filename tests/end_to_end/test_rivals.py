@@ -42,7 +42,7 @@ def made(name, scene, resolution, sonar=SMALL):
     "name, coarse, fine",
     [
         ("ours", (2, 16), (16, 128)),
-        ("rays_footprints", (2, 16), (16, 128)),
+        pytest.param("rays_footprints", (2, 16), (16, 128), marks=pytest.mark.slow),
         pytest.param("tubes", (4, 24), (24, 256), marks=pytest.mark.slow),
         *(
             pytest.param(*one, marks=pytest.mark.slow)
@@ -73,6 +73,7 @@ def test_slices_converge_to_the_truth():
     assert before > 2 * after
 
 
+@pytest.mark.slow
 def test_the_papers_cloud_is_unbiased_but_coarse(pylon):
     scene, truth = pylon
     with made("paper", scene, (1, 140)) as paper:
@@ -83,6 +84,7 @@ def test_the_papers_cloud_is_unbiased_but_coarse(pylon):
     assert 0.02 < error(echo, truth) < 0.5
 
 
+@pytest.mark.slow
 def test_mean_per_bin_has_a_bias_that_samples_do_not_cure(pylon):
     scene, truth = pylon
     errors = []

@@ -700,17 +700,15 @@ def test_an_array_of_no_axis_is_not_several(make, message):
     assert error_of(make, np.array(3.0)).startswith(message)
 
 
-@pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
-def test_a_simulator_refuses_to_be_copied_and_still_pings(take):
+def test_a_simulator_refuses_to_be_copied_and_still_pings():
     with simulator() as it:
         expected = it.ping(np.eye(4)).intensity
-        with pytest.raises(sg.Error) as caught:
-            take(it)
-        np.testing.assert_array_equal(it.ping(np.eye(4)).intensity, expected)
-    assert str(caught.value) == (
-        "a Simulator cannot be copied or pickled, since its threads and memory belong to it and to its process; make "
-        "another one with the same arguments"
-    )
+        for take in (copy.copy, copy.deepcopy, pickle.dumps):
+            assert error_of(take, it) == (
+                "a Simulator cannot be copied or pickled, since its threads and memory belong to it and to its "
+                "process; make another one with the same arguments"
+            )
+            np.testing.assert_array_equal(it.ping(np.eye(4)).intensity, expected)
 
 
 @pytest.mark.usefixtures("few_first_rays")

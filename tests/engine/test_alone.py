@@ -70,7 +70,7 @@ def test_any_order_and_company_gives_the_same_bytes(kind, monkeypatch):
         assert one.error_estimate == other.error_estimate and one.meta["sampling"] == other.meta["sampling"]
 
 
-@pytest.mark.parametrize("kind", fast_kinds("shadows", "multipath"))
+@pytest.mark.parametrize("kind", fast_kinds("multipath"))
 def test_the_ping_is_that_of_the_samples_it_states(kind):
     """So a ping of a data set can be made again by its samples; with multipath, by its tolerance, too."""
     settings, more = MORE[kind]

@@ -6,6 +6,7 @@ import os
 import pickle
 import sys
 import threading
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -120,12 +121,9 @@ def test_a_folder_without_permission_is_told_before_the_page_opens(pages, monkey
     assert "error: cannot write into the folder 'new/deep': permission denied\n" in ran.output
 
 
-@pytest.mark.parametrize(
-    "take", [copy.deepcopy, *(pytest.param(one, marks=pytest.mark.slow) for one in (copy.copy, pickle.dumps))]
-)
-def test_a_view_and_its_session_refuse_to_be_copied(take):
+def test_a_view_and_its_session_refuse_to_be_copied():
     with sg.view("pylon", block=False, tolerance=0.2) as opened:
-        for it in (opened, opened.session):
+        for take, it in product((copy.copy, copy.deepcopy, pickle.dumps), (opened, opened.session)):
             with pytest.raises(sg.Error, match=f"a {type(it).__name__} cannot be copied or pickled"):
                 take(it)
 

@@ -123,9 +123,9 @@ def test_a_shape_is_checked_and_read_from_files(tmp_path):
     assert [(body.name, body.speckle_shape) for body in bodies] == [("m", 2.0), ("m::b", None)]
 
 
-@pytest.mark.parametrize("reflectivity", [None, {"wall": 0.2}])
 @pytest.mark.parametrize(
-    "by_face, engine", [pytest.param(False, "cpu", marks=pytest.mark.slow), (True, "cpu"), (True, "opengl")]
+    "reflectivity, by_face, engine",
+    [(None, False, "cpu"), ({"wall": 0.2}, True, "cpu"), (None, True, "opengl")],
 )
 def test_the_deviation_is_the_diffuse_echo_over_the_root_of_the_shape(reflectivity, by_face, engine):
     """Of a smooth wall with a texture: through pulse, cross-talk and motion, without its glint."""

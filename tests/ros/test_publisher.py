@@ -65,11 +65,11 @@ def by_mcap(topic, data):
     return DecoderFactory().decoder_for("cdr", schema)(data)
 
 
-@pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
-def test_a_publisher_refuses_to_be_copied(scene, loopback, take):
-    refused = pytest.raises(Error, match="a Publisher cannot be copied or pickled")
-    with publisher_of(scene, loopback) as publisher, refused:
-        take(publisher)
+def test_a_publisher_refuses_to_be_copied(scene, loopback):
+    with publisher_of(scene, loopback) as publisher:
+        for take in (copy.copy, copy.deepcopy, pickle.dumps):
+            with pytest.raises(Error, match="a Publisher cannot be copied or pickled"):
+                take(publisher)
 
 
 DECODERS = pytest.mark.parametrize("decode", [by_rosbags, by_mcap])
