@@ -17,11 +17,11 @@ from sonar_gl.beamform.halves import by_sector, half_of, parts_of_wide_columns, 
 from sonar_gl.beamform.kernels.beams import TILE_BEAMS, add_far_lobes, weigh_columns
 from sonar_gl.beamform.kernels.body_counts import ReceivedParts
 from sonar_gl.beamform.kernels.column_sums import (
+    add_points,
     clear_columns,
     count_bins,
     share_wide_columns,
     sum_footprints,
-    sum_points,
 )
 from sonar_gl.beamform.kernels.image_sources import Reflection, sum_image_source
 from sonar_gl.beamform.kernels.range_bins import bin_table
@@ -329,10 +329,19 @@ class Beamformer:
 
     def sum_view(self, view: ViewSamples, gain: np.ndarray) -> BeamEcho:
         """Return the echo of all surfaces and bubbles in a view, times the (K,) float32 gain."""
-        return self._with_bubbles(self.weigh(self._sum_surfaces(view), gain), view, gain)
+        columns = self._sum_surfaces(view)
+        self._add_bubbles(view, columns)
+        return self.weigh(columns, gain)
 
-    def _with_bubbles(self, surfaces: BeamEcho, view: ViewSamples, gain) -> BeamEcho:
-        return surfaces if view.bubbles is None else surfaces.with_more(self.sum_points(view.bubbles, gain))
+    def _add_bubbles(self, view: ViewSamples, columns: ColumnSums) -> None:
+        """Add the echo of a view's bubbles to the sums of its surfaces."""
+        points = view.bubbles
+        if points is None:
+            return
+        if self.fan.are_cones:
+            points = _shown_points(points)
+        arrays = self.elevation_table, self.fan.max_sine, not self.is_box, columns.sums, columns.spans
+        add_points(points, self.fan.column_edges_rad, self._bins[0], *arrays)
 
     def sum_footprints(
         self, samples: Sequence[SectorSamples], gain=NO_GAIN, body_spans: np.ndarray = NO_SPANS
@@ -385,15 +394,6 @@ class Beamformer:
         for (*_, (places, *_)), sectors in images:
             n_rows += self._strips_per_column[sectors][: len(places)] @ (places[:, 1] * places[:, 2])
         return n_rows
-
-    def sum_points(self, points: np.ndarray, gain=NO_GAIN) -> BeamEcho:
-        """Return the echo of point scatterers: (n, 4) azimuth, sine of elevation, range, steradians."""
-        edges_rad, edges_m, columns = self.fan.column_edges_rad, self._bins[0], self._column_sums()
-        if self.fan.are_cones:
-            points = _shown_points(points)
-        arrays = self.elevation_table, self.fan.max_sine, not self.is_box, columns.sums, columns.spans
-        sum_points(points, edges_rad, edges_m, *arrays)
-        return self.weigh(columns, gain)
 
     def sum_image_sources(
         self,
@@ -457,7 +457,8 @@ class Beamformer:
         run, clear = partial(self._run, serial=is_little), partial(self.clear_columns, columns=columns)
         runs = self._labeller.sum_up(view, self.strips, run, columns, clear)
         self.share_wide_columns(columns)
-        echo = self._with_bubbles(self.weigh(columns, gain), view, gain)
+        self._add_bubbles(view, columns)
+        echo = self.weigh(columns, gain)
         is_more = self._far is not None or view.bubbles is not None
         direct = echo.intensity if is_more else np.empty((0, 0), np.float32)
         return echo, BodySums(runs, bins_of_bodies(view.body_spans, self._bins[0]), direct, is_little)

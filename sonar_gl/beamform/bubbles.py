@@ -9,12 +9,14 @@ which looks around what is near. Narrower shadows do not form.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numba import uint64
 
 from sonar_gl.acoustics.boundary import bubble_backscattering, bubble_extinction
 from sonar_gl.beamform.kernels.views import ViewIndex, find_surfaces
-from sonar_gl.core.compiled import compiled
+from sonar_gl.core.compiled import compiled, uncounted
 from sonar_gl.sonar.fan import Fan
 
 CELL_RAD = math.radians(0.5)  # in azimuth, and as much of the sine of elevation
@@ -31,6 +33,23 @@ ECHO = 3  # column of point scatterers, after the first three of `points`: stera
 FIRST_AZIMUTH, FIRST_SINE, FIRST_RANGE, AZIMUTH_STEP, SINE_STEP, RANGE_STEP = range(6)
 
 
+class BubbleShadow(NamedTuple):
+    """The optical depth of bubbles, as seen from one pose.
+
+    Attributes
+    ----------
+    points : (n, 5) of the bubbles in or about the fan; columns AZIMUTH to EXTINCTION
+    middle : azimuth from which those of `points` and `grid` count
+    grid : (6,) azimuth, sine of elevation and range of the first cell, and their steps
+    tau : (I, J, L + 1) optical depth at the near end of each layer of range, and at the far end of the last
+    """
+
+    points: np.ndarray
+    middle: float
+    grid: np.ndarray
+    tau: np.ndarray
+
+
 @compiled
 def _share(i, x, half):
     """Return the share of cell i in what is spread evenly within `half` of x, in cells; half is 0.5 or more."""
@@ -43,9 +62,8 @@ def _add_depth(points, grid, tau):
 
     Parameters
     ----------
-    points : (n, 5) of `attenuate_behind_bubbles`
-    grid : (6,) azimuth, sine of elevation and range of the first cell, and their steps
-    tau : (I, J, L + 1), zeros; at the far end of each layer
+    points, grid : of BubbleShadow
+    tau : of BubbleShadow, zeros
     """
     solid_angle = grid[AZIMUTH_STEP] * grid[SINE_STEP]
     for n in range(points.shape[0]):
@@ -64,7 +82,7 @@ def _add_depth(points, grid, tau):
                 tau[i, j, k] += tau[i, j, k - 1]
 
 
-@compiled
+@uncounted
 def _depth(azimuth, sine, r, grid, tau):
     """Return τ on the way to a position, azimuth as in `points`; 0 outside the plume."""
     x, y = (azimuth - grid[FIRST_AZIMUTH]) / grid[AZIMUTH_STEP], (sine - grid[FIRST_SINE]) / grid[SINE_STEP]
@@ -82,7 +100,7 @@ def _depth(azimuth, sine, r, grid, tau):
     return out
 
 
-@compiled
+@uncounted
 def _attenuate(plane_echo, face_id, sectors, middle, grid, tau):
     """Multiply the echo of each sample of a view by exp(−2τ), in place, and give those that change faces of their own.
 
@@ -105,17 +123,19 @@ def _attenuate(plane_echo, face_id, sectors, middle, grid, tau):
             first = max(math.ceil((low_u - start) / t.ui), 0.0)
             end = min(math.floor((high_u - start) / t.ui) + 1.0, t.columns)
             for column in range(int(first), int(end)):
-                at = plane_echo[row, t.left + column]
-                if at[0] <= 0.0:
+                j, i = uint64(row), uint64(t.left + column)
+                q = plane_echo[j, i, 0]
+                if q <= 0.0:
                     continue
                 u, v = start + t.ui * column, t.v0 + t.vi * column + t.vj * row
                 length = math.sqrt(1.0 + u * u + v * v)
-                if grid[FIRST_SINE] * length < v < last * length and length > at[0] * grid[FIRST_RANGE]:
+                if grid[FIRST_SINE] * length < v < last * length and length > q * grid[FIRST_RANGE]:
                     azimuth = grid[FIRST_AZIMUTH] + half - beside - math.atan(u)
-                    depth = _depth(azimuth, v / length, length / at[0], grid, tau)
-                    at[3] *= math.exp(-2.0 * depth)
-                    if depth > 0.0 and face_id.shape[0] > 0:
-                        face_id[row, t.left + column] = SINGLE - row
+                    depth = _depth(azimuth, v / length, length / q, grid, tau)
+                    if depth > 0.0:
+                        plane_echo[j, i, 3] *= math.exp(-2.0 * depth)
+                        if face_id.shape[0] > 0:
+                            face_id[j, i] = SINGLE - row
 
 
 @compiled
@@ -165,23 +185,13 @@ def _wrapped(azimuth_rad):
     return (azimuth_rad + math.pi) % (2 * math.pi) - math.pi
 
 
-def attenuate_behind_bubbles(
-    view: ViewIndex, face_id: np.ndarray, bubbles: np.ndarray, pose, fan: Fan
-) -> np.ndarray:
-    """Attenuate the samples of a view behind bubbles, in place; return the bubbles as point scatterers.
-
-    A bubble of backscattering cross section σ_bs adds π σ_bs / r² to the sum over solid angle of μ cos θ: a
-    small area dA at θ adds μ cos²θ dA / r², and its σ_bs is μ cos²θ dA / π.
+def find_shadow(bubbles: np.ndarray, pose, fan: Fan) -> BubbleShadow | None:
+    """Return the optical depth of bubbles as seen from a pose; None if none lies in or about the fan.
 
     Parameters
     ----------
-    view, face_id : of the ping's samples; face_id of `ViewSamples`, changed where the echo changes
     bubbles : (n, 4) x y z in the world and radius, metres
     pose : (4, 4) world_from_sonar
-
-    Returns
-    -------
-    (m, 4) float64 : azimuth, sine of elevation, range, and steradians, of those that no surface hides
     """
     positions = (bubbles[:, :3] - pose[:3, 3]) @ pose[:3, :3]
     r = np.maximum(np.linalg.norm(positions, axis=1), 1e-6)
@@ -195,7 +205,7 @@ def attenuate_behind_bubbles(
     near = (off < (edges[-1] - edges[0]) / 2 + reach) & (np.abs(sine) < top + reach)
     near &= r < fan.sonar.range_max_m
     if not near.any():
-        return np.empty((0, 4))
+        return None
     # azimuths count from the middle of the plumes, so that they wrap where there are none
     x, y, _ = positions[near].mean(axis=0)
     middle, radii = math.atan2(y, x), bubbles[near, 3]
@@ -208,9 +218,32 @@ def attenuate_behind_bubbles(
     grid, tau = np.concatenate([low, steps]), np.zeros((*cells, LAYERS + 1))
     points = np.column_stack([points, bubble_backscattering(radii), bubble_extinction(radii)])
     _add_depth(points, grid, tau)
+    return BubbleShadow(points, middle, grid, tau)
+
+
+def attenuate(view: ViewIndex, face_id: np.ndarray, shadow: BubbleShadow | None) -> None:
+    """Attenuate the samples of a view behind bubbles, in place.
+
+    view, face_id : of the ping's samples; face_id of `ViewSamples`, changed where the echo changes
+    """
+    if shadow is not None:
+        _attenuate(view.plane_echo, face_id, view.sectors, shadow.middle, shadow.grid, shadow.tau)
+
+
+def find_echoes(view: ViewIndex, shadow: BubbleShadow | None) -> np.ndarray:
+    """Return bubbles that no surface of a view hides as point scatterers.
+
+    A bubble of backscattering cross section σ_bs adds π σ_bs / r² to the sum over solid angle of μ cos θ: a
+    small area dA at θ adds μ cos²θ dA / r², and its σ_bs is μ cos²θ dA / π.
+
+    Returns
+    -------
+    (m, 4) float64 : azimuth, sine of elevation, range, and steradians
+    """
+    if shadow is None:
+        return np.empty((0, 4))
+    points, middle, grid, tau = shadow
     directions, surfaces, out = np.empty((3, len(points))), np.empty(len(points)), np.empty((len(points), 4))
     _find_directions(points, middle, directions)
     find_surfaces(*directions, 0, len(points), tuple(view), surfaces)
-    count = _find_echoes(points, middle, grid, tau, surfaces, out)
-    _attenuate(view.plane_echo, face_id, view.sectors, middle, grid, tau)
-    return out[:count]
+    return out[: _find_echoes(points, middle, grid, tau, surfaces, out)]

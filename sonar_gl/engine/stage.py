@@ -9,7 +9,7 @@ from functools import cached_property
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import Beamformer, beam_shape, make_beamformer
-from sonar_gl.beamform.bubbles import attenuate_behind_bubbles
+from sonar_gl.beamform.bubbles import BubbleShadow, attenuate, find_echoes, find_shadow
 from sonar_gl.beamform.kernels.views import view_index
 from sonar_gl.beamform.workspace import Workspace
 from sonar_gl.core.array_pool import ArrayPools
@@ -57,10 +57,16 @@ class Stage:
     ) -> list[ViewSamples]:
         """Draw the views of some poses, attenuated behind bubbles; parameters as for `Renderer.render`."""
         views = self.renderer.render(poses, states, with_bodies, planes=planes, keep_last=keep_last)
-        return [
-            view if state is None or state.bubbles is None else self.with_bubbles(view, state.bubbles, pose)
-            for view, pose, state in zip(views, poses, states, strict=True)
-        ]
+        shadows, out = {}, []
+        for view, pose, state in zip(views, poses, states, strict=True):
+            bubbles = None if state is None else state.bubbles
+            if bubbles is not None:
+                key = id(bubbles), id(pose)  # further views of a ping have the same
+                if key not in shadows:
+                    shadows[key] = find_shadow(bubbles, pose, self.fan)
+                view = _with_bubbles(view, shadows[key])
+            out.append(view)
+        return out
 
     def coverage(self, view: ViewSamples) -> float:
         """Return the share of the fan's samples that take time: those that met a body, and a little of the others.
@@ -70,9 +76,17 @@ class Stage:
         return (view.n_met + EMPTY_SAMPLE * (view.n_samples - view.n_met)) / self.fan.n_samples
 
     def with_bubbles(self, view: ViewSamples, bubbles, pose) -> ViewSamples:
-        """Return a view attenuated behind bubbles, and with their echoes, see `attenuate_behind_bubbles`."""
-        points = attenuate_behind_bubbles(view_index(view), view.face_id, bubbles, pose, self.fan)
-        return replace(view, bubbles=points)
+        """Return a view attenuated behind bubbles, in place, and with their echoes.
+
+        bubbles, pose : of `find_shadow`
+        """
+        return _with_bubbles(view, find_shadow(bubbles, pose, self.fan))
+
+
+def _with_bubbles(view: ViewSamples, shadow: BubbleShadow | None) -> ViewSamples:
+    index = view_index(view)
+    attenuate(index, view.face_id, shadow)
+    return replace(view, bubbles=find_echoes(index, shadow))
 
 
 class StageCache:

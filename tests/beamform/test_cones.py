@@ -9,14 +9,14 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.analysis.reference import reference_ping
-from sonar_gl.beamform.beamformer import make_beamformer
+from sonar_gl.beamform.beamformer import NO_GAIN, make_beamformer
 from sonar_gl.beamform.kernels import work_table
 from sonar_gl.beamform.kernels.strips import Lattice, lay_on_cone
 from sonar_gl.beamform.kernels.work_table import LINE_U, SAMPLE, TILT, V_RAY
 from sonar_gl.sonar.fan import BeamShape, make_fan
 from sonar_gl.sonar.samples import SectorSamples
 from sonar_gl.sonar.sector import cone_end_rad
-from tests.support.fans import make_sonar
+from tests.support.fans import make_sonar, view_of_points
 
 pytestmark = pytest.mark.usefixtures("few_first_rays")
 
@@ -403,8 +403,12 @@ def test_bubbles_are_shown_on_their_cones_and_those_behind_the_array_are_not():
     sonar = replace(ARRAY, n_beams=257)
     beamformer = make_beamformer(sonar, CONES, sg.Sampling(1, 16))
     azimuth, elevation = math.radians(50.0), math.radians(9.0)
-    point = np.array([[azimuth, math.sin(elevation), 10.0, 1e-3]])
-    found = beamformer.sum_points(point).intensity.sum(axis=1)
+
+    def received(azimuth_rad, sine):
+        view = view_of_points(beamformer.fan, [[azimuth_rad, sine, 10.0, 1e-3]])
+        return beamformer.sum_view(view, NO_GAIN).intensity.sum(axis=1)
+
+    found = received(azimuth, math.sin(elevation))
     assert np.degrees(sonar.azimuth_rad[found.argmax()]) == pytest.approx(shown(50.0, 9.0), abs=0.3)
     for behind in (math.pi - azimuth, math.radians(88.0)):  # beyond MAX_AZIMUTH_RAD
-        assert not beamformer.sum_points(np.array([[behind, 0.1, 10.0, 1e-3]])).intensity.any()
+        assert not received(behind, 0.1).any()

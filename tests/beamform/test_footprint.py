@@ -10,7 +10,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.beamform.beamformer import FEW_ROWS, Beamformer, make_beamformer
 from sonar_gl.beamform.kernels.beams import beam_tiles, weigh_columns
-from sonar_gl.beamform.kernels.column_sums import sum_points
+from sonar_gl.beamform.kernels.column_sums import add_points
 from sonar_gl.beamform.kernels.range_bins import bin_table
 from sonar_gl.beamform.kernels.spreading import SHORT_RAMP, spread_footprints
 from sonar_gl.beamform.kernels.work_table import ENERGY, SLANT, A, B, S, make_work
@@ -233,7 +233,7 @@ def test_points_are_added_inside_the_fan_alone(table):
     ):
         sums, spans = np.zeros((4, len(EDGES) - 1), np.float32), np.tile([len(EDGES) - 1, 0], (4, 1))
         points = np.array([[azimuth, sine, range_m, 2.0]])
-        sum_points(points, edges, EDGES, table, 0.1, False, sums, spans)
+        add_points(points, edges, EDGES, table, 0.1, False, sums, spans)
         assert np.argwhere(sums).tolist() == ([[2, 45]] if inside else [])
         assert sums.sum() == 2.0 * inside
 

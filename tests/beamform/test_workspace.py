@@ -8,6 +8,7 @@ from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.kernels.body_sums import LabelRoom
 from sonar_gl.beamform.workspace import LabelSums, Workspace
 from sonar_gl.sonar.fan import Fan
+from tests.support.fans import view_of_points
 
 SONAR = sg.Sonar("shared", 900e3, 32, 100, 30.0, 10.0, 1.0, 0.5, 10.0)
 # of few columns, of many, of few again
@@ -39,8 +40,11 @@ def test_what_another_sampling_summed_leaves_no_echo():
             make_beamformer(SONAR, sg.Acoustics.physical(), sampling, workspace=space)
             for space in (workspace, Workspace())
         )
-        points = points_in(shared.fan, number)
-        found, expected = (former.sum_points(points) for former in (shared, alone))
+        view, gain = (
+            view_of_points(shared.fan, points_in(shared.fan, number)),
+            np.ones(SONAR.n_bins, np.float32),
+        )
+        found, expected = (former.sum_view(view, gain) for former in (shared, alone))
         assert expected.total > 0
         np.testing.assert_array_equal(found.intensity, expected.intensity)
         assert found.total == expected.total

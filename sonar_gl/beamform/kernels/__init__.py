@@ -10,7 +10,7 @@
 | `footprints` | finds the energy of footprints, and how far they extend in range | |
 | `spreading` | adds footprints to range bins | |
 | `body_counts` | counts the samples on each body, to judge how well they show it | `count_samples` |
-| `column_sums` | sums samples, or points, into columns and bins | `sum_footprints`, `sum_points` |
+| `column_sums` | sums samples, or points, into columns and bins | `sum_footprints`, `add_points` |
 | `beams` | weighs columns, and adds far side lobes | `weigh_columns`, `add_far_lobes` |
 | `moments` | labels: adds footprints of one body to range bins, with moments | |
 | `runs` | labels: sorts sums of bodies by body and column | `sort_runs`, `sum_body_echo` |

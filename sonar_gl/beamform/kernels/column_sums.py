@@ -101,16 +101,14 @@ def _sum_strips(work, samples, strips, mine, bins, spread, elevation_pattern, su
 
 
 @compiled
-def sum_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, shared, sums, spans):
-    """Sum point scatterers into columns and bins; `sums` and `spans` as in `sum_footprints`.
+def add_points(points, column_edges_rad, bin_edges_m, elevation_pattern, top, shared, sums, spans):
+    """Add point scatterers to columns and bins; `sums` and `spans` as in `sum_footprints`.
 
     points : (n, 4) azimuth, sine of elevation, range, steradians
     elevation_pattern : as in `sum_footprints`; top : sine of the highest elevation
     shared : share each point between the two columns whose middles it lies between, instead of one
     """
     K, n_columns = sums.shape[1], sums.shape[0]
-    for c in range(n_columns):
-        _clear_row(c, sums, spans)
     per_metre = K / (bin_edges_m[K] - bin_edges_m[0])
     for n in range(points.shape[0]):
         c = np.searchsorted(column_edges_rad, points[n, 0], side="right") - 1  # or outside
