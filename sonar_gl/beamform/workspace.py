@@ -18,7 +18,9 @@ from sonar_gl.core.array_pool import ArrayPools
 # Initial room of labels: bodies in a column, runs of bins, numbers. Where it is too small, samples are summed twice;
 # what is not used takes no memory.
 SLOTS, RUNS, POOL = 16, 1 << 14, 1 << 22
-KEPT_COLUMNS = 2  # of a lattice and of its mirror image
+# Weights of beams are kept for so many lattices of columns at least, a lattice and its mirror image, and for more while
+# they are no more than so many bytes.
+KEPT_COLUMNS, KEPT_BYTES = 2, 4e6
 # Room for so many times the columns that are asked for. What is not used takes no memory. A table that has to grow in a
 # live loop is new memory, whose first use takes longer than the sums.
 ROOM = 1.5
@@ -99,14 +101,16 @@ class Workspace:
     def weights(self, column_edges_rad: np.ndarray, make: Callable[[], tuple]) -> tuple:
         """Return the weights of beams over some columns: BeamWeights, and FarLobes or None.
 
-        Those of the last KEPT_COLUMNS are kept: coarse samplings have the same columns, and so have those that they are
-        compared with. The weights of fine ones are large.
+        Those used last are kept: coarse samplings have the same columns, and so have those that they are compared with.
+        A live loop that comes back to them from fine ones would find them anew, which takes as long as a ping. The
+        weights of fine ones of large fans are large.
         """
         key = column_edges_rad.tobytes()
         found = self._weights.pop(key, None)
         self._weights[key] = make() if found is None else found  # the last ones used are last
-        if len(self._weights) > KEPT_COLUMNS:
-            del self._weights[next(iter(self._weights))]
+        n_bytes = sum(weights.weights.nbytes for weights, _ in self._weights.values())
+        while len(self._weights) > KEPT_COLUMNS and n_bytes > KEPT_BYTES:
+            n_bytes -= self._weights.pop(next(iter(self._weights)))[0].weights.nbytes
         return self._weights[key]
 
     def moments(
