@@ -80,7 +80,7 @@ def is_unobstructed(
             plane = np.where(there > 0, there + along_u * (u - at[0]) + along_v * (v - at[1]), 0.0)
             is_own = body_id[at_j, at_i] == number
             if is_own.any():
-                is_own &= _in_a_beam(sector, *at, there, sonar, ())  # of beams without gaps
+                is_own &= _in_the_fan([one.sector for one in samples], sector, *at, there, sonar)
             in_front = (q > plane * IN_FRONT) | is_own
             u, v, i, j, q = (one[in_front] for one in (u, v, i, j, q))
         if len(q):
@@ -95,6 +95,20 @@ def _in_a_beam(sector: Sector, u, v, q, sonar: Sonar, received) -> np.ndarray:
     out &= sector.holds_elevation(u, v) & (np.abs(np.arctan(u)) < sector.half_width_rad)
     out &= sector.is_received(u, v)
     return out & (np.searchsorted(received, u) % 2 == 1) if len(received) else out
+
+
+def _in_the_fan(sectors: Sequence[Sector], sector: Sector, u, v, q, sonar: Sonar) -> np.ndarray:
+    """Return whether points, seen in a sector at (u, v) with 1/x = q, lie in the range and in any of the sectors.
+
+    Those beside their own sector may lie in its neighbour, whose samples may all miss a small body at their border.
+    """
+    azimuth, level = sector.azimuth_rad - np.arctan(u), np.sqrt(1 + u * u)
+    out = np.zeros(len(u), bool)
+    for one in sectors:
+        within = (azimuth - one.azimuth_rad + np.pi) % (2 * np.pi) - np.pi
+        is_before, x = np.abs(within) < one.half_width_rad, np.cos(within)
+        out |= is_before & _in_a_beam(one, -np.tan(within), v / (level * x), q / (level * x), sonar, ())
+    return out
 
 
 def _frusta(sectors: Sequence[Sector], range_max_m: float) -> np.ndarray:

@@ -149,3 +149,18 @@ def test_a_body_in_the_place_of_another_needs_no_finer_samples(mesh):
     both, one = found
     assert both.meta["sampling"] == one.meta["sampling"]
     np.testing.assert_array_equal(both.intensity, one.intensity)
+
+
+@pytest.mark.parametrize("azimuth_rad", [0.0, 0.4])
+def test_a_small_body_at_the_border_of_two_sectors_is_not_missed(azimuth_rad):
+    """Samples of both sectors met it beyond the border, where they do not count: the ping had no echo and no error."""
+    wide = replace(SONAR, n_beams=65, n_bins=450, azimuth_fov_deg=64.0, beam_width_deg=1.2, range_max_m=46.0)
+    wide = replace(wide, elevation_fov_deg=15.0)
+    place = sg.pose(20 * math.cos(azimuth_rad), 20 * math.sin(azimuth_rad))
+    body = sg.Body("ball", trimesh.creation.icosphere(3, 0.02), place)
+    echoes = []
+    for sampling in (None, sg.Sampling(300, 4600)):
+        with sg.Simulator(sg.Scene([body]), wide, IDEAL, sampling, tolerance=0.05) as simulator:
+            echoes.append(simulator.ping(np.eye(4)).intensity.sum())
+    # the promise for the echo of a body: five times the tolerance
+    assert echoes[0] == pytest.approx(echoes[1], rel=0.25)
