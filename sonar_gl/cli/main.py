@@ -311,8 +311,8 @@ def doctor(ctx, report_path, scene, **options):
     This also compiles the numerical code and keeps it on disk, so that later commands start fast. The first time
     takes a minute or two with two free cores, some minutes with one. The engine of --engine draws the known scene.
 
-    With --scene, list instead the bodies of a scene with their sizes, places, triangles and reflectivity, its water,
-    its sonars, and everything that was left out or assumed as it was read.
+    With --scene, list instead the bodies of a scene with their sizes, places, triangles, reflectivity and specular
+    lobe, its water, its sonars, and everything that was left out or assumed as it was read.
     """
     if scene is not None:
         if report_path is not None:

@@ -115,6 +115,8 @@ def _bodies_text(bodies: tuple[Body, ...]) -> str:
 def _reflectivity_text(body: Body) -> str:
     low, high = float(np.min(body.reflectivity)), float(np.max(body.reflectivity))
     text = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+    if body.specular:
+        text += f", lobe {body.specular:.3g}"
     return f"{text}, {body.material}" if body.material else text
 
 

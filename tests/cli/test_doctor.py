@@ -20,6 +20,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import pip_install
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import egl
+from sonar_gl.scene.materials import material
 from sonar_gl.simulator import Simulator
 from tests.support import command_line
 from tests.support.command_line import BODY, BOX, SENSOR, WALL
@@ -476,6 +477,19 @@ from its shape, z = 2 m
     )
 
 
+def test_scene_says_how_much_a_smooth_body_reflects_beside_what_it_scatters(tmp_path):
+    """Of steel the lobe is nearly all: by its reflectivity alone it would look as dark as mud."""
+    plate = (
+        '<model name="plate"><link name="l"><collision name="c"><geometry><box/></geometry>'
+        "<sonar_gl:material>steel</sonar_gl:material></collision></link></model>"
+    )
+    status, out, _ = run("--scene", write_world(tmp_path / "dock.sdf", plate))
+    assert status == 0
+    (row,) = (line for line in out.splitlines() if line.startswith("plate"))
+    steel = material("steel")
+    assert row.endswith(f"{steel.reflectivity:.3g}, lobe {steel.specular:.3g}, steel")
+
+
 @pytest.mark.slow
 def test_scene_lists_the_largest_of_many_bodies_and_counts_the_others(tmp_path):
     many = "".join(BODY.format(f"rock_{k}", f"{k} 3 0", f"0.{k + 10:03d} 0.01 0.01") for k in range(300))
@@ -519,7 +533,7 @@ def test_scenes_without_bodies_or_sonar_and_options_without_a_scene(tmp_path):
 def test_scene_says_the_plumes_and_materials_of_a_bundled_scene():
     out = run("--scene", "diver_vertical")[1]
     assert "plume     'diver::bubbles' at " in out and re.search(
-        "^floor .* 0.235, smooth_concrete$", out, re.MULTILINE
+        "^floor .* 0.235, lobe 0.048, smooth_concrete$", out, re.MULTILINE
     )
 
 
