@@ -19,6 +19,7 @@ from sonar_gl.sonar.sonar import UNPARSED, Sonar
 
 # tables of a job that describe no device: what they are in Python
 OTHER_TABLES = {"noise": "Noise", "acoustics": "Acoustics", "water": "Water"}
+OF_COUNTS = {field.name for field in fields(Counts)}
 PRESETS = Path(__file__).with_name("sonars.toml")
 
 
@@ -206,6 +207,9 @@ def _sonar_from_table(location: str, name: str, table: dict) -> Sonar:
     required = {field.name: field.default is MISSING for field in fields(Sonar)}
     with errors_at(location):
         for key in table:
+            if key in OF_COUNTS:  # gain_db and bits resemble other keys of a sonar
+                cure = f"write counts = {{ {key} = ... }}"
+                raise Error(f"{key} must be a key of the law of counts (got it as one of the sonar; {cure})")
             check_choice("key", key, required)
         for key in ("name", "source"):
             if not isinstance(table.get(key, ""), str):

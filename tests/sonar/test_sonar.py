@@ -338,6 +338,10 @@ def test_files_that_describe_no_sonar_are_errors(tmp_path):
     ("change", "message"),
     [
         ({"n_beam": 2}, "unknown key (got 'n_beam'; did you mean 'n_beams' or 'name' or 'n_bins_max'?)"),
+        (
+            {"bits": 8},
+            "bits must be a key of the law of counts (got it as one of the sonar; write counts = { bits = ... })",
+        ),
         ({"name": 3}, "name must be text (got 3; put it in quotes)"),
         ({"source": "[1]"}, "source must be text (got [1]; put it in quotes)"),
         ({"n_beams": "256.0"}, "n_beams must be a whole number in 1..65536 (got 256.0)"),
