@@ -66,17 +66,17 @@ def examine() -> list[Finding]:
     found = [Finding("sonar_gl", True, __version__), Finding("Python", True, python)]
     found += [check_package(module, name) for module, name in PACKAGES]
     for what, check, cure in (
-        ("pyrender", system_check("check_pyrender"), pip_install("pyrender")),
+        ("pyrender", lambda: _system_checks().check_pyrender(), pip_install("pyrender")),
         ("embreex", check_embreex, install_command("reference")),
         ("shaders", check_shaders, INSTALL_AGAIN),
-        ("scenes", system_check("check_scenes"), INSTALL_AGAIN),
-        ("EGL", system_check("check_egl"), ""),
-        ("OpenGL", system_check("check_opengl"), ""),  # the message holds the cure
-        ("engine", system_check("check_raster_engine"), ""),
-        ("compiled functions", system_check("check_compiled_functions"), ""),
+        ("scenes", lambda: _system_checks().check_scenes(), INSTALL_AGAIN),
+        ("EGL", lambda: _system_checks().check_egl(), ""),
+        ("OpenGL", lambda: _system_checks().check_opengl(), ""),  # the message holds the cure
+        ("engine", lambda: _system_checks().check_raster_engine(), ""),
+        ("compiled functions", lambda: _system_checks().check_compiled_functions(), ""),
         (
             "known scene",
-            system_check("check_known_scene"),
+            lambda: _system_checks().check_known_scene(),
             "correct the failures above; if there are none, report this",
         ),
     ):
@@ -89,20 +89,15 @@ def examine() -> list[Finding]:
     return found
 
 
-def system_check(name: str):
-    """Return a check of `system_checks`.
+def _system_checks():
+    """Return the module `system_checks`.
 
-    It raises an ImportError where that cannot be loaded, since a package is missing, or since Numba may not compile.
+    Raises ImportError where it cannot be loaded, since a package is missing, or since Numba may not compile.
     """
-
-    def check():
-        try:
-            checks = cli.system_checks
-        except Error as why:
-            raise ImportError(str(why)) from None
-        return getattr(checks, name)()
-
-    return check
+    try:
+        return cli.system_checks
+    except Error as why:
+        raise ImportError(str(why)) from None
 
 
 def report_text(found: list[Finding]) -> str:

@@ -45,13 +45,6 @@ class Value(NamedTuple):
     extension: str = ""  # key of CORE_SINCE that it came with, "" for OpenGL 3.3
 
 
-class Switches(NamedTuple):
-    """Capabilities of glEnable and glDisable that an extension brought, "" for OpenGL 3.3."""
-
-    capabilities: tuple[int, ...]
-    extension: str = ""
-
-
 MULTISAMPLE, DITHER = 0x809D, 0x0BD0
 # GL_{UNPACK,PACK}_: SWAP_BYTES, LSB_FIRST, ROW_LENGTH, SKIP_ROWS, SKIP_PIXELS, ALIGNMENT
 UNPACK, PACK, ALIGNMENT = range(0x0CF0, 0x0CF6), range(0x0D00, 0x0D06), (0x0CF5, 0x0D05)
@@ -97,22 +90,25 @@ EXISTS = {
     "glBindVertexArray": "glIsVertexArray",
     "glUseProgram": "glIsProgram",
 }
-SWITCHES = [  # all are off by default, except for MULTISAMPLE and DITHER
-    Switches((0x0B44, DEPTH_TEST, 0x0B90)),  # CULL_FACE, STENCIL_TEST
-    Switches((0x0BF2, 0x0B20, 0x0B41)),  # COLOR_LOGIC_OP, LINE_SMOOTH, POLYGON_SMOOTH
-    Switches((0x2A01, 0x2A02, 0x8037)),  # POLYGON_OFFSET_POINT, _LINE, _FILL
-    Switches((0x8C89, 0x8642, 0x864F)),  # RASTERIZER_DISCARD, PROGRAM_POINT_SIZE, DEPTH_CLAMP
-    Switches((MULTISAMPLE, 0x809E, 0x809F)),  # SAMPLE_ALPHA_TO_COVERAGE, SAMPLE_ALPHA_TO_ONE
-    Switches((0x80A0, 0x8E51, DITHER)),  # SAMPLE_COVERAGE, SAMPLE_MASK
-    Switches((0x8DB9, 0x8F9D, 0x884F)),  # FRAMEBUFFER_SRGB, PRIMITIVE_RESTART, TEXTURE_CUBE_MAP_SEAMLESS
-    Switches(tuple(range(CLIP_DISTANCE0, CLIP_DISTANCE0 + 8))),
-    Switches((0x8C36,), "ARB_sample_shading"),  # SAMPLE_SHADING
-    Switches((0x8D69,), "ARB_ES3_compatibility"),  # PRIMITIVE_RESTART_FIXED_INDEX
-    Switches((0x8890,), "EXT_depth_bounds_test"),  # DEPTH_BOUNDS_TEST
-]
+# by the extension that brought them, "" for OpenGL 3.3; all are off by default, except for MULTISAMPLE and DITHER
+SWITCHES = {
+    "": (
+        *(0x0B44, DEPTH_TEST, 0x0B90),  # CULL_FACE, STENCIL_TEST
+        *(0x0BF2, 0x0B20, 0x0B41),  # COLOR_LOGIC_OP, LINE_SMOOTH, POLYGON_SMOOTH
+        *(0x2A01, 0x2A02, 0x8037),  # POLYGON_OFFSET_POINT, _LINE, _FILL
+        *(0x8C89, 0x8642, 0x864F),  # RASTERIZER_DISCARD, PROGRAM_POINT_SIZE, DEPTH_CLAMP
+        *(MULTISAMPLE, 0x809E, 0x809F),  # SAMPLE_ALPHA_TO_COVERAGE, SAMPLE_ALPHA_TO_ONE
+        *(0x80A0, 0x8E51, DITHER),  # SAMPLE_COVERAGE, SAMPLE_MASK
+        *(0x8DB9, 0x8F9D, 0x884F),  # FRAMEBUFFER_SRGB, PRIMITIVE_RESTART, TEXTURE_CUBE_MAP_SEAMLESS
+        *range(CLIP_DISTANCE0, CLIP_DISTANCE0 + 8),
+    ),
+    "ARB_sample_shading": (0x8C36,),  # SAMPLE_SHADING
+    "ARB_ES3_compatibility": (0x8D69,),  # PRIMITIVE_RESTART_FIXED_INDEX
+    "EXT_depth_bounds_test": (0x8890,),  # DEPTH_BOUNDS_TEST
+}
 # Contexts of the compatibility profile have these, too; CLAMP_FRAGMENT_COLOR clamps clear values, too.
 COMPATIBILITY_VALUES = [Value(0x891B, "glClampColor", (0x891B,), 0)]
-COMPATIBILITY_SWITCHES = Switches((0x0BC0, 0x0B42))  # ALPHA_TEST, POLYGON_STIPPLE
+COMPATIBILITY_SWITCHES = 0x0BC0, 0x0B42  # ALPHA_TEST, POLYGON_STIPPLE
 # RED_SCALE, GREEN_, BLUE_, ALPHA_, DEPTH_; each + 1 is the bias
 SCALES = (0x0D14, 0x0D18, 0x0D1A, 0x0D1C, 0x0D1E)
 # glPixelTransfer: MAP_COLOR, MAP_STENCIL, INDEX_SHIFT, INDEX_OFFSET, scales, biases
@@ -189,13 +185,15 @@ class StateGuard:
         }
         self._is_compatibility = not gl.integer(PROFILE_MASK) & CORE_PROFILE_BIT
         values = VALUES + (COMPATIBILITY_VALUES if self._is_compatibility else [])
-        switches = SWITCHES + ([COMPATIBILITY_SWITCHES] if self._is_compatibility else [])
         self._values = [value for value in values if value.extension in has]
         self._setters = [getattr(gl, value.setter) for value in self._values]
         self._exists = [
             getattr(gl, EXISTS[value.setter]) if value.setter in EXISTS else None for value in self._values
         ]
-        self._switches = [one for group in switches if group.extension in has for one in group.capabilities]
+        self._switches = [
+            one for name, capabilities in SWITCHES.items() if name in has for one in capabilities
+        ]
+        self._switches += COMPATIBILITY_SWITCHES if self._is_compatibility else ()
         self._draw_buffers = range(gl.integer(MAX_DRAW_BUFFERS))
         self._viewports = range(gl.integer(MAX_VIEWPORTS)) if "ARB_viewport_array" in has else None
         self._set_blending = None  # what sets functions and equations of one draw buffer
