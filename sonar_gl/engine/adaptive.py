@@ -402,14 +402,18 @@ class AdaptiveSampling:
             self._has_warned = not plan.met
             return
         columns = plan.sampling.columns_per_beam * self._sonar.n_beams
-        name = f" ({self._model.bodies[plan.worst_body - 1].name!r})" if plan.worst_body else ""
-        body_bound = WORST_BODY * self.tolerance
+        name, more, body_bound = "", "", WORST_BODY * self.tolerance
+        if plan.worst_body:
+            body = self._model.bodies[plan.worst_body - 1]
+            name = f" ({body.name!r})"
+            if body.specular and self._stages.acoustics.specular and plan.worst_body_estimate > body_bound:
+                more = ", or give that body a rough material"  # its glint needs most of the samples
         warn_caller(
             f"tolerance {self.tolerance:g} cannot be met here: with the most samples that fit, "
             f"{columns:.0f} x {plan.sampling.rows}, the estimate is "
             f"{text_beside(plan.error_estimate, self.tolerance)}, and "
             f"{text_beside(plan.worst_body_estimate, body_bound)} for the worst body{name}; go nearer, narrow the "
-            "fan, or ask for a larger tolerance",
+            f"fan, or ask for a larger tolerance{more}",
             ToleranceWarning,
         )
         self._has_warned = True

@@ -536,6 +536,16 @@ class TestPlan:
                 warnings.simplefilter("error")
                 simulator.ping(sg.pose(2.5))
 
+    @pytest.mark.parametrize("specular", [True, False])
+    def test_the_warning_names_the_cure_of_a_body_with_a_glint(self, monkeypatch, specular):
+        monkeypatch.setattr("sonar_gl.engine.level_search.FINEST_LEVEL", 6)
+        scene = sg.Scene([ball(x=10, radius=0.1, reflectivity="steel")])
+        with sg.Simulator(scene, SONAR, replace(IDEAL, specular=specular), tolerance=0.001) as simulator:
+            with pytest.warns(ToleranceWarning, match="worst body [(]'ball'[)]; go nearer") as caught:
+                simulator.ping(np.eye(4))
+        ends = ", or ask for a larger tolerance" + ", or give that body a rough material" * specular
+        assert str(caught[0].message).endswith(ends)
+
     def test_an_unreachable_tolerance_is_warned_of_again_once_it_was_met(self, monkeypatch):
         monkeypatch.setattr("sonar_gl.engine.run.MAX_CHOSEN_SAMPLES", 20_000)
         wall, rods = sg.pose(), sg.pose(yaw=math.pi)
