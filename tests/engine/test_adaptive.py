@@ -540,9 +540,10 @@ class TestPlan:
     def test_the_warning_names_the_cure_of_a_body_with_a_glint(self, monkeypatch, specular):
         monkeypatch.setattr("sonar_gl.engine.level_search.FINEST_LEVEL", 6)
         scene = sg.Scene([ball(x=10, radius=0.1, reflectivity="steel")])
-        with sg.Simulator(scene, SONAR, replace(IDEAL, specular=specular), tolerance=0.001) as simulator:
-            with pytest.warns(ToleranceWarning, match="worst body [(]'ball'[)]; go nearer") as caught:
-                simulator.ping(np.eye(4))
+        warns = pytest.warns(ToleranceWarning, match="worst body [(]'ball'[)]; go nearer")
+        acoustics = replace(IDEAL, specular=specular)
+        with sg.Simulator(scene, SONAR, acoustics, tolerance=0.001) as simulator, warns as caught:
+            simulator.ping(np.eye(4))
         ends = ", or ask for a larger tolerance" + ", or give that body a rough material" * specular
         assert str(caught[0].message).endswith(ends)
 
