@@ -21,12 +21,6 @@ class BodyPath:
 
     Raises Error if the file cannot be read, or is of one time alone; names file, line and column.
 
-    Parameters
-    ----------
-    file : as for `sonar_gl.core.poses.read_poses`
-
-    Attributes
-    ----------
     begin_s, end_s : its first and last time
     """
 

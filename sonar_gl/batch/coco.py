@@ -27,12 +27,11 @@ END = b"]\n"
 def coco_records(
     ids: np.ndarray, class_of_body, image_id: int, file_name: str, names, echo, own_share, **more
 ) -> tuple[dict, list[dict]]:
-    """Return COCO's records of one fan image and of the bodies in it.
+    """Return COCO's records of one fan image, and of the bodies in it by rising number.
 
-    Bodies that are one instance have the number of the first one. Raises Error if a number has no class.
+    Bodies that are one instance have the number of the first one. docs/batch.md describes the fields that COCO does not
+    have. Raises Error if a number has no class.
 
-    Parameters
-    ----------
     ids : (H, W) uint16, number of the body at each pixel, 0 for none
     class_of_body : class of each body by number; bodies of class 0 have no annotation
     image_id : unique number, 0 or more
@@ -40,13 +39,6 @@ def coco_records(
     names, echo, own_share : of each body by number its name, its echo as in `Ping.body_echo`, and the share of its own
         echo in what its bins hold
     more : plain values to add to the image
-
-    Returns
-    -------
-    image : id, file_name, height, width, and `more`
-    annotations : by rising number of the body: id = image_id · 65536 + body_id, image_id, category_id, bbox
-        [x, y, w, h] and area in whole pixels, iscrowd, segmentation; and fields that COCO does not have:
-        body_id, body (its name), echo and own_share
     """
     height, width = ids.shape
     image = {"id": image_id, "file_name": file_name, "height": height, "width": width, **more}

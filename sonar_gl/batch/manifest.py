@@ -198,18 +198,12 @@ def part_records(folder: Folder, manifest: Manifest) -> Iterator[PartRecord]:
 
 
 def check(folder: Folder, progress: Callable) -> list[str]:
-    """Compare all files of a batch with their checksums.
+    """Compare all files of a batch with their checksums; return a line for each that is missing or has changed.
 
-    Raises Error if the folder holds no batch, or one of another version.
+    A batch that is not complete has a line that says so. Raises Error if the folder holds no batch, or one of another
+    version.
 
-    Parameters
-    ----------
     progress : function that turns the numbers of parts into a context manager of an iterable of them
-
-    Returns
-    -------
-    list of str, one line for each file that is missing or changed; for a batch that is not complete, a line
-    that says so
     """
     found = recorded_parts(folder)
     faults, done, manifest = [], None, None

@@ -77,19 +77,13 @@ class OpticalCamera:
         self._flags = pyrender.RenderFlags
 
     def __call__(self, pose, bodies=None) -> tuple[np.ndarray, np.ndarray]:
-        """Render one image.
+        """Render one image: (H, W, 3) uint8 RGB, the first row on top, and (H, W) float32 depth.
 
-        Raises Error if a pose is invalid, or a name is unknown.
+        Depth is in metres along the optical axis, at the centre of each pixel, 0 where no body is. Raises Error if a
+        pose is invalid, or a name is unknown.
 
-        Parameters
-        ----------
         pose : (4, 4) world_from_camera; as for a sonar x is forward, y to port, z up
         bodies : for this image only, name -> (4, 4) world_from_body, or None for a body that is not present
-
-        Returns
-        -------
-        rgb : (H, W, 3) uint8, the first row on top
-        depth : (H, W) float32, metres along the optical axis at the centre of each pixel, 0 where no body is
         """
         if self.context is None:
             raise closed_error("OpticalCamera")

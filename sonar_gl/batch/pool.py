@@ -162,14 +162,8 @@ def _environment_of_children():
 
 
 class Process:
-    """One process of a pool.
+    """One process of a pool; its arguments are those of `serve`, but for the pipe.
 
-    Parameters
-    ----------
-    arguments : of `serve`, but for the pipe
-
-    Attributes
-    ----------
     task : what it is making, or None
     pings : numbers of pings of which it may be making one
     """

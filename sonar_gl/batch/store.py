@@ -126,16 +126,10 @@ class PingStore:
         return self._root if self._n_sonars == 1 else self._root[sonar]
 
     def write(self, sonar: str, first: int, arrays: dict[str, np.ndarray]) -> list[str]:
-        """Write the arrays of a part, which are whole shards of the store.
+        """Write the arrays of a part, which are whole shards of the store; return the names of the files.
 
-        Parameters
-        ----------
         first : number of the part's first ping
         arrays : by name, (pings of the part, ...)
-
-        Returns
-        -------
-        names of the files in the folder
         """
         group, names = self.group(sonar), []
         for name, values in arrays.items():

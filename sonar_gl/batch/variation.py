@@ -106,17 +106,10 @@ class MovedBodies:
     def draw(
         self, number: int, random: np.random.Generator, run_start: int, time_s: float
     ) -> tuple[dict, dict, list[str]]:
-        """Draw the changes of a ping.
+        """Draw the changes of a ping: `bodies` and `reflectivity` of its request, and names without a clear place.
 
-        Parameters
-        ----------
         run_start : number of the first ping of its run, for which tables with a path draw
         time_s : its time on the trajectory, and on paths; later than that of `number` where draws hold
-
-        Returns
-        -------
-        bodies, reflectivity : as in `PingRequest`
-        unplaced : names of those that are absent since no place was clear
         """
         # taken: what keeps clear of each other; gone: what is absent though it follows a path
         bodies, reflectivity, taken, gone, unplaced = {}, {}, {}, {}, {}

@@ -112,8 +112,6 @@ def nearest_names(name: str, known: Iterable[str]) -> str:
     "did you mean 'hamming'?"
     >>> nearest_names("x", ("uniform", "hamming"))
     'known are hamming, uniform'
-    >>> nearest_names(1, ("uniform", "hamming"))
-    'known are hamming, uniform'
     """
     known = sorted(known)
     return similar_names(name, known) or "known are " + ", ".join(known)

@@ -17,12 +17,10 @@ SWITCHES |= dict.fromkeys(("0", "no", "false", "off"), False)
 def parse_fields(
     what: str, text: str, cls: type, presets: Collection[str] = (), without: Collection[str] = ()
 ) -> tuple[str | None, dict]:
-    """Parse `key=value,...` by the types of the fields of a dataclass.
+    """Parse `key=value,...` by the types of the fields of a dataclass; return the preset, or None, and the values.
 
-    Raises Error if a name is unknown or given twice, or its value is of another type.
+    `cls` checks their bounds. Raises Error if a name is unknown or given twice, or its value is of another type.
 
-    Parameters
-    ----------
     what : name of the option, with which messages begin
     text : items separated by commas. The first may be the name of a preset. A field of type bool takes yes or
         no, true or false, on or off, 1 or 0, and its name alone means yes. A field whose type includes None
@@ -30,11 +28,6 @@ def parse_fields(
     cls : dataclass with fields of type bool, int, float or str, or one of these and None
     presets : names that the first item may have in place of a key
     without : fields that text cannot set
-
-    Returns
-    -------
-    preset : str or None
-    values : field name -> value; `cls` checks the bounds
     """
     check_kind(what, text, str, "such as 'key=value,key=value'")
     hints = get_type_hints(cls)

@@ -111,10 +111,8 @@ def body_map_and_bins(ping: Ping, height: int, quiet: Ping | None) -> tuple[np.n
 
 
 def _areas(ping: Ping, quiet: Ping | None, full_circle: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the runs of bins of one body, and where the boxes of bodies lie in the polar array.
+    """Return the runs of bins of one body, and the areas: where the boxes of bodies lie in the polar array.
 
-    Returns
-    -------
     runs : (n, 4) int64: body, beam, first bin, end
     areas : (bodies + 1, 4) int64, by number: first beam, number of beams from there on, also across the seam of a full
         circle, first and last bin. A body out of view has no beams
@@ -214,17 +212,11 @@ def _grow_extents(cells, extents):
 
 @compiled
 def _find_runs(body_id, runs, areas):
-    """Find the runs of bins of one body, and where each body lies.
+    """Find the runs of bins of one body, and where each body lies; return the number of runs.
 
-    Parameters
-    ----------
     body_id : (B, K) uint16
     runs : (at least as many as there are, 4) int64, filled: body, beam, first bin, end
     areas : (bodies, 4) int64, filled: first beam, number of beams, first and last bin
-
-    Returns
-    -------
-    number of runs
     """
     B, K = body_id.shape
     for body in range(areas.shape[0]):

@@ -217,7 +217,7 @@ def demarco_picture(
     settings: PictureSettings,
     grid_shape: tuple[int, int] | None = None,
 ) -> np.ndarray:
-    """Return the founding paper's picture of a point cloud.
+    """Return the founding paper's picture of a point cloud, (H, W, 3) uint8 RGB.
 
     Raises Error if the picture would be too wide.
 
@@ -228,16 +228,10 @@ def demarco_picture(
     have their circle. The author's code adds the noise to x alone; the paper's text, followed here, adds it
     to all coordinates.
 
-    Parameters
-    ----------
     points_xyz : (N, 3) float64, metres, sonar frame (x forward, y port, z up), in scan order, row by row; NaN or
         infinite for rays that met nothing
     intensity : (N,), clipped to 0..255
     grid_shape : (rows, columns) of the scan, for "polygons"
-
-    Returns
-    -------
-    array of shape (H, W, 3), uint8 RGB
     """
     points, values = points_xyz, np.asarray(intensity, np.float64).clip(0, 255)
     if settings.cloud_sigma_m > 0:

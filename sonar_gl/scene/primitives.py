@@ -261,12 +261,8 @@ def rotation_and_stretch(linear) -> tuple[np.ndarray, np.ndarray]:
     S is symmetric where there is no mirroring; a mirrored transform has S mirrored in x.
 
     >>> rotation, stretch = rotation_and_stretch([[0, -2, 0], [2, 0, 0], [0, 0, 2]])
-    >>> rotation.round(9) + 0.0, stretch.round(9) + 0.0
-    (array([[ 0., -1.,  0.],
-           [ 1.,  0.,  0.],
-           [ 0.,  0.,  1.]]), array([[2., 0., 0.],
-           [0., 2., 0.],
-           [0., 0., 2.]]))
+    >>> rotation.round().astype(int).tolist(), stretch.round().astype(int).tolist()
+    ([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [[2, 0, 0], [0, 2, 0], [0, 0, 2]])
     """
     left, scales, right = np.linalg.svd(np.asarray(linear, np.float64))
     rotation, stretch = left @ right, (right.T * scales) @ right

@@ -48,18 +48,12 @@ class PlanarReflector:
 
 
 def tabulate_reflection(reflects, roughness_m: float, wavenumber_rad_m: float) -> np.ndarray:
-    """Return the intensity reflection coefficient of a rough plane by the sine of the grazing angle, 0 to 1.
+    """Return the intensity reflection coefficient of a rough plane by the sine of the grazing angle, (N_SINES,).
 
-    Parameters
-    ----------
     reflects : Material, of which the Rayleigh reflection coefficient is taken if density and speed are known;
         or the intensity reflection coefficient |R|² of the smooth plane, 0..1
     roughness_m : rms height; only the coherent part of the reflection counts
     wavenumber_rad_m : 2π / λ in the water
-
-    Returns
-    -------
-    (N_SINES,) float64, 0..1
     """
     grazing_rad = np.arcsin(np.linspace(0.0, 1.0, N_SINES))
     if not isinstance(reflects, Material):

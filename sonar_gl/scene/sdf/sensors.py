@@ -209,8 +209,9 @@ class _Tags:
 
     def stated(self) -> dict:
         """Return which of BOUNDS the sensor states, within them, and "middle_deg", the azimuth of its middle."""
-        found = self._camera() | self._scan() | self._plugin()
-        out = {}
+        found, out = {}, {}
+        for values in (self._camera(), self._scan(), self._plugin()):
+            found |= {key: value for key, value in values.items() if value is not None}
         for key, (low, high, word) in BOUNDS.items():
             value = found.get(key)
             if value is None:
@@ -241,7 +242,7 @@ class _Tags:
         }
         if bandwidth_hz and bandwidth_hz > 0:
             values["bin_size_m"] = (sound_speed_m_s or PLUGIN_SOUND_SPEED_M_S) / (2 * bandwidth_hz)
-        return _without_none(values)
+        return values
 
     def _scan(self) -> dict:
         """Return what `<scan>` and `<range>` of a ray sensor state, and the range of Gazebo's `<sonar>`."""
@@ -261,7 +262,7 @@ class _Tags:
                     f"the scan's elevations must lie about 0 (got {vertical.low_deg:.4g} to {vertical.high_deg:.4g} "
                     "deg); turn the sonar by its pose"
                 )
-        return _without_none(values)
+        return values
 
     def _span(self, name: str) -> _Span | None:
         low, high = (self.number(f"scan/{name}/{tag}") for tag in ("min_angle", "max_angle"))
@@ -295,11 +296,7 @@ class _Tags:
         }
         if fov_rad and width and height and 0 < fov_rad < math.pi:
             values["elevation_fov_deg"] = math.degrees(2 * math.atan(math.tan(fov_rad / 2) * height / width))
-        return _without_none(values)
+        return values
 
     def _first(self, *paths: str) -> float | None:
         return next((value for value in map(self.number, paths) if value is not None), None)
-
-
-def _without_none(values: dict) -> dict:
-    return {key: value for key, value in values.items() if value is not None}
