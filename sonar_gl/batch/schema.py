@@ -117,16 +117,14 @@ def bin_layers(
         dims, attributes = ("beam", "range"), {"long_name": long_name, **more}
         return ArraySpec(name, dtype, (sonar.n_beams, sonar.n_bins), dims, fill, attributes, encode)
 
-    def quantized(name, dtype, step, long_name, units, fill=0, **more):
+    def quantized(name, dtype, step, long_name, units, missing=None):
         """The field `name` of a ping, in steps."""
+        fill, more = (0, {}) if missing is None else (missing, {"_FillValue": missing})
 
         def encode(ping, *_):
             return _quantize(getattr(ping, name), step, fill, dtype)
 
         return layer(name, dtype, encode, long_name, fill, units=units, scale_factor=step, **more)
-
-    def missing(value):
-        return {"fill": value, "_FillValue": value}
 
     known = {
         "intensity": layer(
@@ -143,23 +141,11 @@ def bin_layers(
         "body": layer("body_id", body_dtype, encode_body, f"body {STRONGEST}, 0 for none"),
         "class": layer("class_id", class_dtype, encode_class, f"class of the body {STRONGEST}, 0 for none"),
         "elevation": quantized(
-            "elevation_rad",
-            "int16",
-            ELEVATION_STEP_RAD,
-            f"elevation {STRONGEST}",
-            "rad",
-            **missing(NO_ELEVATION),
+            "elevation_rad", "int16", ELEVATION_STEP_RAD, f"elevation {STRONGEST}", "rad", NO_ELEVATION
         ),
-        "range": quantized(
-            "true_range_m", "uint16", range_step_m, f"slant range {STRONGEST}", "m", **missing(0)
-        ),
+        "range": quantized("true_range_m", "uint16", range_step_m, f"slant range {STRONGEST}", "m", 0),
         "incidence": quantized(
-            "incidence_rad",
-            "uint8",
-            INCIDENCE_STEP_RAD,
-            f"incidence {STRONGEST}",
-            "rad",
-            **missing(NO_INCIDENCE),
+            "incidence_rad", "uint8", INCIDENCE_STEP_RAD, f"incidence {STRONGEST}", "rad", NO_INCIDENCE
         ),
         "share": quantized("share", "uint8", 1 / 255, "share of the strongest body in the echo", "1"),
         "shadow": layer(

@@ -104,10 +104,8 @@ def save_npz(path: str | os.PathLike, ping: Ping) -> None:
     """
     path = check_file_name(path, (".npz",))
     check_kind("ping", ping, Ping, "as Simulator.ping returns it")
-    try:
+    with errors_at(repr(str(path))):
         data = npz_bytes(ping)
-    except Error as why:
-        raise Error(f"{str(path)!r}: {why}") from None
     with atomic_write(path) as beside:
         beside.write_bytes(data)
 
@@ -145,10 +143,9 @@ def load_npz(path: str | os.PathLike) -> Ping:
         check_is_file(path)
     try:
         arrays, names = read_npz(path, dict.fromkeys(NPZ_FIELDS, "biuf") | {"meta": "U"})
-    except OSError as why:
-        raise Error(f"cannot read the ping {str(path)!r}: {describe_os_error(why, path)}") from None
-    except Error as why:
-        raise Error(f"cannot read the ping {str(path)!r}: {why}") from None
+    except (OSError, Error) as why:
+        reason = describe_os_error(why, path) if isinstance(why, OSError) else why
+        raise Error(f"cannot read the ping {str(path)!r}: {reason}") from None
     missing = [name for name in ("intensity", "azimuth_rad", "range_m") if name not in arrays]
     if missing:
         got = ", ".join(names[:20])

@@ -278,12 +278,8 @@ def concatenate(shapes) -> Shape:
     starts = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
     joined = None
     if any(n is not None for n in normals):
-        joined = np.concatenate(
-            [
-                np.zeros((len(m.vertices), 3), np.float32) if n is None else n
-                for m, n in zip(meshes, normals, strict=True)
-            ]
-        )
+        flat = [np.zeros((len(m.vertices), 3), np.float32) if n is None else n for m, n in shapes]
+        joined = np.concatenate(flat)
         joined.flags.writeable = False  # as in `_unit_normals`
     faces = np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=True)])
     return make_shape(np.concatenate([m.vertices for m in meshes]), faces)._replace(normals=joined)
@@ -316,11 +312,7 @@ def closedness(vertices, faces) -> int:
     keys = np.ascontiguousarray(np.round(from_corner / (extent or 1.0) * 1e9).astype(np.int64))
     _, same = np.unique(keys.view([("", np.int64)] * 3).ravel(), return_inverse=True)
     triangles = same.ravel()[faces]
-    triangles = triangles[
-        (triangles[:, 0] != triangles[:, 1])
-        & (triangles[:, 1] != triangles[:, 2])
-        & (triangles[:, 2] != triangles[:, 0])
-    ]
+    triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
     a, b = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     n = len(vertices)
     forward, backward = np.sort(a * n + b), np.sort(b * n + a)

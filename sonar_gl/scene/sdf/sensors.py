@@ -147,11 +147,8 @@ def _complete(name: str, stated: dict, location: str, notes: list[str]) -> tuple
     middle_deg = stated.get("middle_deg", 0.0)
     azimuths_deg = None
     if middle_deg:
-        offsets = [
-            values["azimuth_fov_deg"] * ((k + 0.5) / values["n_beams"] - 0.5)
-            for k in range(values["n_beams"])
-        ]
-        azimuths_deg = tuple(middle_deg + offset for offset in offsets)
+        width_deg, n = values["azimuth_fov_deg"], values["n_beams"]
+        azimuths_deg = tuple(middle_deg + width_deg * ((k + 0.5) / n - 0.5) for k in range(n))
         values["azimuth_fov_deg"] += 2 * abs(middle_deg)
     sonar = Sonar(
         name=name,
