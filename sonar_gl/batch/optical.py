@@ -26,16 +26,11 @@ class OpticalCamera:
 
     Raises Error if there is no usable OpenGL or pyrender, or the image is larger than the driver supports.
 
-    Parameters
-    ----------
     scene : Scene; its bubbles are not rendered
     camera : Camera, such as `Camera.of_fov(640, 480, fov_x_rad=1.2)`
     near_m, far_m : range of depths along the optical axis that are rendered. Depth has 24 bits, so its error
         is depth² / (near_m · 1.7e7): a millimetre at 40 m with 0.1 m
     device : as for `Simulator`
-
-    Attributes
-    ----------
     context : its OpenGL context; None once it is closed
     """
 

@@ -50,13 +50,8 @@ class Batch:
 
     Raises Error if the job is invalid, or Python cannot make its store.
 
-    Parameters
-    ----------
     device : index of an EGL device, or None for the default
     any_system : make parts also with another engine, driver or libraries than those that began the batch
-
-    Attributes
-    ----------
     schema, table : built once, and checked; for them every scene of the job is read
     """
 

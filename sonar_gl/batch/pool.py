@@ -226,13 +226,8 @@ class Process:
 class Pool:
     """A pool of processes that run the steps of a batch. Use it in a `with` block, which ends them all.
 
-    Parameters
-    ----------
     devices : index of the EGL device of each process, or None for the default
     is_dry_run : whether the folder is a temporary one, of which errors do not say that it can be resumed
-
-    Attributes
-    ----------
     stopping : if set, no more parts are begun
     processes : place in the pool -> its process
     """

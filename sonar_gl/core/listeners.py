@@ -18,14 +18,9 @@ class Listener:
     While the function is busy, new items take the place of the ones that wait: a slow listener misses items, and holds
     up nobody. An exception of the function ends the listening.
 
-    Parameters
-    ----------
     call : function of one item
     waiting : how many items may wait
     on_close : function of this listener, called once it is closed
-
-    Attributes
-    ----------
     missed : number of items that others replaced
     failure : exception that ended the listening, or None
     """

@@ -62,12 +62,7 @@ class Job:
 
     A caller that is interrupted in the work leaves it undone: the next one who needs it begins it anew.
 
-    Parameters
-    ----------
     in_use : message of the Error for a thread that does the work and would wait for it, as in a signal handler
-
-    Attributes
-    ----------
     answer, failure : what `work` has returned or raised
     is_over : whether it is done, or cancelled
     """

@@ -265,12 +265,7 @@ def _read_plumes(links: list[Link]) -> list[Bubbles]:
 class TreeReader:
     """Makes the tree of scopes of a scene.
 
-    Parameters
-    ----------
     repeated : places of elements that are not read, since one before them is
-
-    Attributes
-    ----------
     misplaced : what to say of shapes out of links, and of misspelt tags
     """
 

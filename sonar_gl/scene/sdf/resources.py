@@ -65,15 +65,10 @@ class Resources:
 
     Raises Error if one of `resource_paths` is not a folder.
 
-    Attributes
-    ----------
-    roots : folders that may be read
-    recovered : file -> why, of files that are no proper XML, and were read as Gazebo reads them
-
-    Parameters
-    ----------
     scene_path : the scene's file; its folder is searched last, with that of the ROS package that holds the file
     resource_paths : folders to search first; those of SEARCH_PATHS and of AMENT_PREFIX_PATH follow
+    roots : folders that may be read
+    recovered : file -> why, of files that are no proper XML, and were read as Gazebo reads them
     """
 
     def __init__(self, scene_path: Path, resource_paths=()):
