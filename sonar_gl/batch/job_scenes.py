@@ -12,10 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.batch.body_paths import BodyPath
 from sonar_gl.batch.job import Job, check_patterns
 from sonar_gl.batch.job_settings import can_only_be_file
-from sonar_gl.batch.variation import MovedBodies, check_floors
+from sonar_gl.batch.variation import BodyPath, MovedBodies, check_floors
 from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.input_files import check_no_link_loop, noted_files
 from sonar_gl.core.names import matching_names, names_of
