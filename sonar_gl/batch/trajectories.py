@@ -105,11 +105,6 @@ class Trajectory(ABC):
         number %= size
         return float(self.time_s(number)), self.pose(number)
 
-    @property
-    def times_s(self) -> np.ndarray:
-        """Return (N,) float64, the time of each ping in seconds."""
-        return np.asarray(self.time_s(np.arange(len(self))), np.float64)
-
 
 @dataclass(frozen=True, config=STRICT)
 class FileTrajectory(Trajectory):
