@@ -11,6 +11,10 @@ from sonar_gl.sonar.sonar import Sonar
 
 MAX_COLUMNS_PER_BEAM, MAX_ROWS = 1024, 16_000
 MIN_COLUMNS, MIN_ROWS = 24, 16  # of a sampling chosen for a tolerance
+# In a fan of a few degrees such columns are far narrower than rows are high, and columns of one beam average out all
+# errors but those by the height of rows, which two lattices make alike. As many samples, HIGHEST times as high as wide,
+# err less there; of fewer columns than LEAST_COLUMNS too few average out an upright edge.
+HIGHEST, LEAST_COLUMNS = 2.0, 8
 # Maximum height of a row. Where two rows meet on a floor at grazing incidence, a bin may lack echo: some per cent of it
 # with rows a degree high, less than one per cent with rows half as high.
 MAX_ROW_DEG = 0.5
@@ -84,9 +88,16 @@ def _aperture_deg(sonar: Sonar) -> float:
 
 
 def sampling_of_width(sonar: Sonar, sample_deg: float) -> Sampling:
-    """Return the sampling with samples of a width, degrees, and of the same height up to MAX_ROW_DEG."""
+    """Return the sampling with samples of a width, degrees, and of the same height up to MAX_ROW_DEG.
+
+    Where MIN_COLUMNS would make them higher than HIGHEST times their width, as many are less high.
+    """
     columns = max(MIN_COLUMNS, sonar.azimuth_fov_deg / sample_deg)
     rows = max(math.ceil(_aperture_deg(sonar) / sample_deg), fewest_rows(sonar))
+    if columns == MIN_COLUMNS:
+        too_high = columns * _aperture_deg(sonar) / (HIGHEST * sonar.azimuth_fov_deg * rows)
+        columns = max(MIN_COLUMNS / max(math.sqrt(too_high), 1.0), LEAST_COLUMNS)
+        rows = math.ceil(rows * MIN_COLUMNS / columns - 1e-9)
     return Sampling(min(columns / sonar.n_beams, MAX_COLUMNS_PER_BEAM), min(rows, MAX_ROWS))
 
 
