@@ -224,7 +224,9 @@ class ErrorModel:
         """
         hits, echo, of_strips, unevenness, strands = tried.counts
         factor = DIFFERENCE_FACTOR * share_of_difference(coarser, BODY_ERROR_RATE)
-        apart = factor * np.abs(echo - before.counts.echo) / np.maximum(echo, 1e-30)
+        # Of the less of both: samples along a thin rod take too much of it, and would understate by how much.
+        less = np.minimum(echo, before.counts.echo)
+        apart = factor * np.abs(echo - before.counts.echo) / np.maximum(less, 1e-30)
         apart = np.where(is_compared, apart, 0.0)
         uneven = UNEVEN_FACTOR * unevenness / np.maximum(echo, 1e-30)
         shown = np.minimum(np.maximum(apart, uneven), 1.0)

@@ -338,14 +338,14 @@ SHOWN = 1.37 / math.sqrt(1 + 2**1.5)  # of a difference from half the samples
 JUDGED = {
     "by the number of samples": (MANY, 0.0, 0.0, 1.0, 1.0, BY_NUMBER),
     "by few samples": (40, 0.0, 0.0, 1.0, 1.0, 1.8 * 1.2 / 40**0.75),
-    "by the difference": (MANY, 0.0, 0.0, 0.9, 1.0, 0.1 * SHOWN),
-    "by the difference, as well as it may": (MANY, 0.0, 0.0, 0.864, 1.0, 0.136 * SHOWN),
+    "by the difference": (MANY, 0.0, 0.0, 0.9, 1.0, 0.1 / 0.9 * SHOWN),
+    "by the difference, as well as it may": (MANY, 0.0, 0.0, 0.864, 1.0, 0.136 / 0.864 * SHOWN),
     "by the difference the other way": (MANY, 0.0, 0.0, 1.2, 1.0, 0.2 * SHOWN),
     "of so many samples the difference tells nothing": (1000, 0.0, 0.0, 0.5, 1.0, 1.8 * 1.008 / 1000**0.75),
     "by uneven samples": (MANY, 0.05, 0.0, 1.0, 1.0, 0.075),
     "by strands": (MANY, 0.0, 120.0, 1.0, 1.0, 2 * BY_NUMBER),
     "by strips": (MANY, 0.0, 0.0, 1.0, 0.93, math.hypot(0.07, BY_NUMBER)),
-    "by strips that take too much": (MANY, 0.0, 0.0, 0.9, 1.05, math.hypot(0.05, 0.1 * SHOWN)),
+    "by strips that take too much": (MANY, 0.0, 0.0, 0.9, 1.05, math.hypot(0.05, 0.1 / 0.9 * SHOWN)),
     "at most all": (MANY, 0.0, 0.0, 9.0, 1.0, 1.0),
 }
 
