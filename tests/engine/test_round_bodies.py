@@ -50,6 +50,17 @@ def test_the_difference_of_errors_that_are_alike_shows_them(coarser):
     assert wrong_share(fine, coarse, coarser, alike=1.0) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.parametrize(("n_bins", "factor"), [(1, 1.35), (15, 1.35), (17, 1.0), (400, 1.0)])
+def test_a_difference_in_few_bins_counts_for_more(n_bins, factor):
+    """So many of 400 bins differ by 0.01: by chance that may be little of the error."""
+    difference = np.where(np.arange(400).reshape(8, 50) < n_bins, 0.01, 0.0)
+    fine, coarse = (
+        BeamEcho(one.astype(np.float32), float(one.sum())) for one in (np.ones((8, 50)), 1.0 + difference)
+    )
+    expected = factor * 1.4 / np.sqrt(1 + 2**ERROR_RATE) * 0.01 * n_bins / 400
+    assert wrong_share(fine, coarse, 2.0) == pytest.approx(expected, rel=1e-4)  # of numbers near 1 in float32
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("range_m", "azimuth", "elevation", "radius_m"),
