@@ -301,7 +301,7 @@ def test_energy_does_not_depend_on_samples_or_seams(fov):
     np.testing.assert_allclose(sums, sums[-1], rtol=0.005)
 
 
-@pytest.mark.parametrize("distance", [2.0, 20.0, 100.0])
+@pytest.mark.parametrize("distance", [2.0, 100.0])
 def test_range_of_a_plate(distance):
     """The plate's echo begins and is centred at its range, to a tenth of a bin of 2.5 cm."""
     nearest = max(distance - 5.0, 0.0) + 0.01

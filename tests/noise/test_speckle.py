@@ -86,14 +86,6 @@ def test_speckle_is_exponential():
     assert abs(correlation(out[:, 1:], out[:, :-1])) < SIGMAS / np.sqrt(n)
 
 
-def test_overlapping_beams_have_the_same_distribution():
-    out = speckled(even_ping(256, 4000, 45 / 256), seed=2)
-    n = 4000 * 45 * UNIFORM_WIDTH  # independent cells: resolved directions, times bins
-    assert out.mean() == pytest.approx(1, abs=SIGMAS / np.sqrt(n))
-    assert out.std() == pytest.approx(1, abs=SIGMAS * np.sqrt(2 / n))
-    assert (10 * np.log10(out)).std() == pytest.approx(5.57004, abs=SIGMAS * 5.57 * np.sqrt(1.1 / n))
-
-
 def test_speckle_of_no_echo_is_none():
     assert not speckled(even_ping(level=0.0)).any()
 
@@ -107,25 +99,6 @@ def test_looks_reduce_the_contrast(looks):
 
 
 # --- correlation between beams
-
-
-@pytest.mark.parametrize(
-    ("spacing_deg", "field", "intensity"),
-    # sinc(0.8859 D / width) of a uniform line array, for a width of 1 degree
-    [(0.18, 0.9587, 0.9191), (0.5, 0.7071, 0.5), (1.0 / 0.885893, 0.0, 0.0)],
-)
-def test_overlapping_beams_share_speckle(spacing_deg, field, intensity):
-    # every fourth beam is compared: 0.18, 0.5 or 1.13 degrees apart
-    n_beams = 100
-    azimuth = np.radians(spacing_deg / 4 * (np.arange(n_beams) - n_beams / 2))
-    draws = speckle(azimuth, 20_000, BEAM_WIDTH_RAD, stream(3, 0, "speckle")).astype(np.float64)
-    found = np.array([correlation(draws[b], draws[b + 4]) for b in range(0, n_beams - 4, 4)])
-    # a bin has as many independent draws as the fan has beam widths
-    n = 20_000 * max(1.0, n_beams * spacing_deg / 4 * UNIFORM_WIDTH)
-    # a sum of M waves in place of the integral errs by (π t/M)²/6 of it, below 4e-4
-    error = SIGMAS * 2 * (1 - intensity**2 + 1e-9) / np.sqrt(n) + 4e-4
-    assert found.mean() == pytest.approx(intensity, abs=error)
-    assert intensity == pytest.approx(field**2, abs=1e-4)
 
 
 @pytest.mark.parametrize("fov_deg", [2.0, 10.0, 45.0, 130.0, 360.0])
@@ -259,17 +232,6 @@ def test_a_taper_widens_the_correlation(fov_deg, width_deg, spread):
     assert np.abs(found - expected).max() < 6e-3
     assert np.abs(found**2 - expected**2).max() < 1e-3
     assert aperture_width(HAMMING_SERIES) == pytest.approx(1.302982, abs=1e-6)
-
-
-@pytest.mark.parametrize("width_deg", [1.0, 3.0])
-def test_tapered_beams_all_around(width_deg):
-    azimuth, width_rad = fan(360.0, 512), np.radians(width_deg)
-    matrix = beam_matrix(azimuth, width_rad, HAMMING_SERIES)
-    apart = azimuth - azimuth[0]
-    apart = np.minimum(apart, 2 * np.pi - apart)
-    expected = hamming_correlation(aperture_width(HAMMING_SERIES) * apart / width_rad) ** 2
-    # a whole number of waves in the circle, 156 or more: the width is off by up to 0.5 / 156
-    assert np.abs((matrix @ matrix[0]) ** 2 - expected).max() < 3e-3
 
 
 @pytest.mark.parametrize("side_lobe_db", [20.0, 43.0])

@@ -73,13 +73,8 @@ def test_every_bundled_scene_loads_without_a_warning():
             warnings.simplefilter("error")
             scene = load_scene(name)
         assert scene.name == name == path.stem
-        assert scene.n_triangles > 0 and scene_description(path)
-
-
-def test_the_sonar_of_every_bundled_scene_is_under_water():
-    for name in bundled_scenes():
-        scene = load_scene(name)
         assert scene.surface_z_m is None or scene.sonar_pose[2, 3] < scene.surface_z_m, name
+        assert scene.n_triangles > 0 and scene_description(path)
 
 
 def test_bundled_scenes_name_materials_and_return_no_more_than_arrives():
@@ -290,21 +285,6 @@ def test_normals_of_a_glb_turn_with_it(tmp_path):
     (body,) = load_scene(tmp_path / "a.glb").bodies
     # glTF has float32 of both
     np.testing.assert_allclose(body.normals, body.mesh.vertices, rtol=0, atol=2**-23)
-
-
-def test_parts_of_a_mesh_file_are_bodies(tmp_path):
-    scene = trimesh.Scene()
-    for name, x in (("left", -5.0), ("right", 5.0)):
-        scene.add_geometry(
-            trimesh.creation.box((1, 1, 1)),
-            node_name=name,
-            transform=trimesh.transformations.translation_matrix((x, 0, 0)),
-        )
-    scene.export(tmp_path / "a.glb")
-    bodies = {body.name: body for body in load_scene(tmp_path / "a.glb").bodies}
-    assert set(bodies) == {"left", "right"}
-    np.testing.assert_array_equal(bodies["left"].pose, pose(-5))
-    np.testing.assert_array_equal(bodies["left"].mesh.bounds, [[-0.5] * 3, [0.5] * 3])
 
 
 def _gltf_of_copies(path, mesh, matrices: dict):

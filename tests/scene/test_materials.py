@@ -128,13 +128,6 @@ def test_every_material_is_consistent():
         assert (one.density_ratio is None) == (one.speed_ratio is None) == (one.loss is None)
 
 
-def test_air_reflects_more_than_steel():
-    air, steel = material("gas_filled"), material("steel")
-    assert air.reflectivity + air.specular > steel.reflectivity + steel.specular
-    assert material("water_surface").specular == 1
-    assert rayleigh_reflection(0.3, material("water_surface").density_ratio, 0.2267) == -1
-
-
 def test_names_ignore_case_and_hyphens_and_materials_are_frozen():
     assert material("Medium Sand") is material("sand") is material("medium-sand")
     assert isinstance(material("steel"), Material)

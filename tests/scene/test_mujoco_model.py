@@ -64,15 +64,6 @@ def test_every_kind_of_geom(geom, bounds):
     np.testing.assert_allclose(boxes_of(scene)["geom_0"], bounds, atol=FLOAT32)
 
 
-def test_a_height_field_is_the_right_way_round():
-    asset = "<asset><hfield name='h' nrow='2' ncol='2' size='2 1 .5 .1' elevation='0 .5  0 1'/></asset>"
-    body = load(model_of("<geom type='hfield' hfield='h'/>", asset))[0].bodies[0]
-    heights = {(x, y): z for x, y, z in body.mesh.vertices}
-    # an elevation lists its rows from the top, as an image does
-    rays = {(2.0, 1.0): 0.25, (2.0, -1.0): 0.5, (-2.0, 1.0): 0.0, (-2.0, -1.0): 0.0}
-    assert heights == pytest.approx(rays, abs=FLOAT32)
-
-
 def test_a_height_field_agrees_with_the_rays_of_mujoco():
     asset = "<asset><hfield name='h' nrow='3' ncol='3' size='2 1 .5 .1' elevation='0 .5 1  0 0 0  1 0 .2'/></asset>"
     model = model_of("<geom type='hfield' hfield='h' pos='1 2 3' euler='0 0 .5'/>", asset)

@@ -75,10 +75,6 @@ def test_chords_stay_near_their_arcs(radius):
     assert n == 24 or radius * (1 - np.cos(np.pi / (n - 4))) > meshes.SAGITTA_M  # and no more than needed
 
 
-def test_box_is_flat():
-    assert meshes.box((1, 1, 1))[1] is None
-
-
 def test_sphere_vertices_and_normals():
     mesh, normals = meshes.sphere(2.0)
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 2.0, rtol=1e-12)
@@ -392,13 +388,6 @@ def test_collada_with_entities_is_refused(tmp_path):
     assert error_of(mesh_files.read_mesh, path) == (
         f"{path}: trimesh cannot read this mesh (ValueError: a document type declaration is refused)"
     )
-
-
-def test_reading_warns_about_nothing(tmp_path):
-    trimesh.creation.box().export(tmp_path / "a.glb")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        mesh_files.read_mesh(tmp_path / "a.glb")
 
 
 def test_text_meshes_need_not_be_utf8(tmp_path):

@@ -339,11 +339,6 @@ def test_sensors_named_after_a_sonar(read_text, sensor, name):
     assert scene.bodies == ()
 
 
-def test_a_camera_is_no_sonar(read_text):
-    scene = read_text(model(link("<sensor name='camera' type='camera'/><sensor name='imu' type='imu'/>")))
-    assert scene.sonar_pose is None and len(scene.bodies) == 1
-
-
 def test_the_mesh_of_the_sonar_is_not_read(read_text):
     shape = "<collision name='c'><geometry><mesh><uri>model://none/a.stl</uri></mesh></geometry></collision>"
     assert read_text(model(link("<sensor name='s' type='custom'/>", shape=shape))).bodies == ()

@@ -38,8 +38,8 @@ def test_strips_cover_the_fan_once(fov_deg):
     np.testing.assert_allclose(widths, np.diff(edges), rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("fov_deg", [20.0, 30.0, 60.0, 70.0, 130.0])
-@pytest.mark.parametrize("n_beams", [8, 15, 256])
+@pytest.mark.parametrize("fov_deg", [20.0, 70.0, 130.0])
+@pytest.mark.parametrize("n_beams", [15, 256])
 def test_rounding_adds_no_sample(fov_deg, n_beams):
     """Boxes side by side fill the field of view: each has as many samples as asked for, in all sectors together."""
     sonar = make_sonar(fov_deg, n_beams, beam_width_deg=fov_deg / n_beams)
