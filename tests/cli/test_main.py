@@ -988,6 +988,7 @@ def test_progress_is_shown_on_a_terminal_alone(monkeypatch, capsys):
 # --- real processes
 
 
+@pytest.mark.slow
 def test_process_renders_and_says_nothing_on_stderr():
     done = process("render", "tank.sdf", "--sonar", "small.toml", "--height", 60, PYTHONIOENCODING="ascii")
     assert (done.returncode, done.stderr) == (0, "")

@@ -130,8 +130,9 @@ print(root(8.0), signal.getsignal(signal.SIGINT) is signal.default_int_handler)
 """
 
 
-@pytest.mark.parametrize("place", ["stream_list", pytest.param("new_registrations", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("is_kept", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["stream_list", "new_registrations"])
+@pytest.mark.parametrize("is_kept", [True, False])
 def test_an_interrupt_waits_until_a_function_is_compiled(place, is_kept, tmp_path):
     """After Ctrl-C in the first ping of a notebook, later pings ended with "generator raised StopIteration"."""
     if is_kept:

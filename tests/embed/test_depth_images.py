@@ -438,6 +438,7 @@ def test_normals_of_walls_far_aside_of_a_wide_camera_fit_the_depths():
     assert hints(depth, camera, normals=normals[..., ::-1])
 
 
+@pytest.mark.slow
 def test_normals_of_poles_before_a_wall_fit_the_depths():
     """Most pixels have others of another surface four pixels aside, and planes through both are those of none."""
     random = np.random.default_rng(0)

@@ -125,6 +125,7 @@ def test_a_viewer_that_goes_and_comes_again(transport, viewers):
         viewer.close()
 
 
+@pytest.mark.slow
 def test_a_viewer_that_does_not_read_holds_up_nobody(transport, viewers):
     topic, size = pose_topic(), 1 << 20
     transport.advertise(topic)
