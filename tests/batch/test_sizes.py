@@ -11,7 +11,7 @@ from sonar_gl.batch.job import Job, read_job
 from sonar_gl.batch.job_warnings import model_warnings
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.core.poses import scale_of, unscaled
-from tests.support.batches import BOX, FLOOR, files_of, make_all, write_job, write_plain_job
+from tests.support.batches import BOX, FLOOR, make_all, write_job, write_plain_job
 from tests.support.command_line import BODY, WALL, run
 
 TURN = {"roll_rad": [-3.0, 3.0], "pitch_rad": [-1.5, 1.5], "yaw_rad": [-3.0, 3.0]}
@@ -134,22 +134,6 @@ def test_arrays_boxes_and_instances_are_those_of_a_scene_with_a_larger_mesh(tmp_
             bodies={"box_1": data.moved_pose[1, 0].values},
         )
     assert np.array_equal(ping.intensity, data.intensity[1])
-
-
-@pytest.mark.slow  # processes of their own
-def test_bytes_do_not_depend_on_processes_or_interruptions(tmp_path):
-    more = '[[vary.bodies]]\nnames = ["box_1"]\nscale = [0.7, 1.4]\nrests_on = "floor"\n[labels]\n[coco]\n'
-    job = write_plain_job(tmp_path, 10, 4, more)
-    make_all(job, tmp_path / "one")
-    folder = tmp_path / "two"
-    status, _, err = run("batch", job, "--out", folder, "--workers", "2")
-    assert status == 0, err
-    one, two = files_of(tmp_path / "one"), files_of(folder)
-    assert one.keys() == two.keys() and {name for name in one if one[name] != two[name]} <= {"batch.json"}
-    for name in ("parts/0000001.json", "done.json"):  # the second part is made again
-        (folder / name).unlink()
-    assert run("batch", job, "--out", folder, "--workers", "1", "--resume")[0] == 0
-    assert files_of(folder) == two
 
 
 NUMBER, LIMITS = "should be a number, or [low, high]", "should lie in 0.01..100"
