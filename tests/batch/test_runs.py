@@ -145,8 +145,7 @@ def test_processes_share_the_cores(job, tmp_path, monkeypatch, n_cores, asked, n
     assert found == [asked]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_signals_that_come_at_once_stop_a_batch_as_one_does(tmp_path, monkeypatch, number):
     """`timeout` sends its signal to the batch and to its group: the second broke off the parts in progress."""
     path, run_parts = write_plain_job(tmp_path, 4, 2), Pool.run_parts
