@@ -37,27 +37,6 @@ def test_a_tvg_that_has_no_effect_is_warned_of():
             Acoustics.parse("tvg_absorption_db_m=none", "ideal")
 
 
-def test_support_of_the_receive_pattern(sonar):
-    """A box ends at half its width; a line array is cut at a null, and little lies beyond."""
-    half = np.radians(0.5)
-    assert Acoustics.ideal().receive_support_rad(sonar) == pytest.approx(half, rel=1e-15)
-    assert Acoustics.ideal().receive_pattern(sonar) is None
-    physical = Acoustics.physical(far_side_lobes=False)
-    support, pattern = physical.receive_support_rad(sonar), physical.receive_pattern(sonar)
-    assert pattern(half, 0.0) == pytest.approx(0.5, abs=1e-11)
-    assert pattern(0.3 + support, 0.3) < 1e-25
-    beyond = np.linspace(support, np.pi / 2, 100_000)
-    assert 10 * np.log10(pattern(beyond, 0.0).max()) < -22.9  # the fourth side lobe
-    # beyond the n-th null lies 1/(π² n) of the integral over a line array's pattern: 2.5 % beyond the 4th
-    step = (np.pi / 2) / 1_000_000
-    power = pattern(step * (np.arange(1_000_000) + 0.5), 0.0)
-    assert power[: round(support / step)].sum() / power.sum() == pytest.approx(
-        1 - 1 / (4 * np.pi**2), abs=2e-3
-    )
-    wide = replace(sonar, beam_width_deg=60.0)
-    assert physical.receive_support_rad(wide) == np.pi / 2
-
-
 def test_an_absorption_of_the_tvg_in_db_per_km_is_warned_of():
     with pytest.warns(UserWarning) as caught:
         Acoustics(tvg_absorption_db_m=300.0)

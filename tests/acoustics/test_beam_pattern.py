@@ -25,17 +25,6 @@ from tests.support.settings import described
 pytestmark = pytest.mark.usefixtures("few_first_rays")
 
 
-@pytest.mark.parametrize("width_deg", [0.25, 1.0, 2.0, 20.0, 90.0])
-@pytest.mark.parametrize("steer_deg", [0.0, 65.0, -180.0])
-def test_a_line_array_has_half_power_at_the_edges_of_its_width(width_deg, steer_deg):
-    width, steer = np.radians([width_deg, steer_deg])
-    edges = line_array_pattern(steer + np.array([-0.5, 0.5]) * width, steer, width)
-    np.testing.assert_allclose(edges, 0.5, rtol=0, atol=1e-13)
-    assert line_array_pattern(steer, steer, width) == 1.0
-    fine = line_array_pattern(np.linspace(-0.5, 0.5, 101) * width, 0.0, width)
-    assert (np.diff(fine[50:]) < 0).all()  # falls from the axis to the edge
-
-
 @pytest.mark.slow
 def test_nulls_and_side_lobes_of_an_untapered_array():
     """First null, first side lobe and width in λ/L have their textbook values."""

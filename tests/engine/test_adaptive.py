@@ -393,14 +393,6 @@ class TestMoving:
             assert simulator.ping(sg.pose(x=-12.4)).intensity.any()
         assert len(n_drawn) == 2  # and with fewer samples, to compare it with
 
-    def test_the_same_pings_give_the_same_bytes(self):
-        poses = [sg.pose(0.2 * k, yaw=0.05 * k) for k in range(20)]
-        runs = []
-        for _ in range(2):
-            with sg.Simulator(ball_and_floor(), SONAR, IDEAL) as simulator:
-                runs.append([simulator.ping(pose).intensity.tobytes() for pose in poses])
-        assert runs[0] == runs[1]
-
     @pytest.mark.parametrize("n_before", [1, 2, 3])
     def test_a_ping_far_from_the_last_one_is_the_same_after_any_others(self, n_before):
         """Its samples are chosen from it alone, as those of batches are."""
