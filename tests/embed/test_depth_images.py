@@ -438,7 +438,6 @@ def test_normals_of_walls_far_aside_of_a_wide_camera_fit_the_depths():
     assert hints(depth, camera, normals=normals[..., ::-1])
 
 
-@pytest.mark.slow
 def test_normals_of_poles_before_a_wall_fit_the_depths():
     """Most pixels have others of another surface four pixels aside, and planes through both are those of none."""
     random = np.random.default_rng(0)
@@ -446,7 +445,7 @@ def test_normals_of_poles_before_a_wall_fit_the_depths():
         cylinder(distance, distance * sine, 0.03, -5, 5)
         for distance, sine in zip(random.uniform(4, 12, 150), random.uniform(-0.5, 0.5, 150), strict=True)
     ]
-    for columns in (100, 400):
+    for columns in (100, 200):
         camera = sg.Camera.of_fov(columns, columns // 2, math.radians(60), math.radians(30))
         _, depth, normals, _ = Cast(*poles, plane([1, 0, 0], 15)).images(camera)
         assert not hints(depth, camera, normals=normals)
