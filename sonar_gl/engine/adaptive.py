@@ -21,20 +21,21 @@ from sonar_gl.engine.error_model import Judgement
 from sonar_gl.engine.flow import DrawnPing, PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.replan_trigger import ReplanTrigger, have_come_or_gone
-from sonar_gl.engine.stage import StageCache
+from sonar_gl.engine.stage import WHOLE, Coverage, StageCache
 from sonar_gl.sonar.sampling import ERROR_RATE, LEVELS_PER_HALF, WORST_BODY, ToleranceWarning
 from sonar_gl.sonar.sonar import Sonar
 
 CHECK_CHANGE = 0.2  # of the whole echo
-# A ping takes the time of the share of its samples that `Stage.coverage` states, of FILTERED_BIN for each bin of each
-# beam (of BARE_BIN without a matched filter), more by COVERED_BIN of that where the coverage is whole, and of
-# FIXED_SAMPLES; with a check of its error CHECK_COST times as long. By the pings of `tools/bench live`, BARE_BIN by the
-# same loops with profile `ideal`.
-FIXED_SAMPLES, CHECK_COST = 10_000, 2.1
-FILTERED_BIN, BARE_BIN, COVERED_BIN = 0.34, 0.02, 0.8
-# No ping may cost more than MOST_COST times the usual one of the RECENT ones up to it, and the first one with finer
+# A ping takes the time of the share of its samples that its Coverage states, of FACE for each face, which is summed by
+# itself where it is small, of FILTERED_BIN for each bin of each beam (of BARE_BIN without a matched filter), more by
+# COVERED_BIN of that where the share is whole, and of FIXED_SAMPLES; with a check of its error CHECK_COST times as
+# long. By the pings of `tools/bench live`, BARE_BIN by the same loops with profile `ideal`.
+FIXED_SAMPLES, FACE, CHECK_COST = 10_000, 1.5, 2.1
+FILTERED_BIN, BARE_BIN, COVERED_BIN = 0.37, 0.02, 1.85
+# No ping with a check may cost more than MOST_COST times the usual one of the RECENT ones up to it. One whose view has
+# filled, which may have to be drawn once more, may cost no more than MOST_FULL_COST times, and the first one with finer
 # samples, which takes new memory, no more than MOST_FINER_COST times.
-MOST_COST, MOST_FINER_COST, RECENT = 2.3, 1.65, 100
+MOST_COST, MOST_FULL_COST, MOST_FINER_COST, RECENT = 2.3, 2.0, 1.65, 100
 LIKE_COST = 0.1  # share by which a ping may cost more or less than was expected
 # So many pings with echo, each near the one before, are a loop that must not stall. Fewer are those of a program that
 # looks at bodies now and then, or has others in each ping; or of a loop that has just begun.
@@ -69,15 +70,19 @@ class Choice:
     last_check : LastCheck; None before the first ping
     planned : `_view_of` each ping for which the samples are fixed; None while they are chosen ping by ping
     is_due : the error is to be estimated as soon as that costs no more than a ping may
+    next_level : level that pings change to once the stages of its samples have been made; None for the same one
+    is_half_made : the first of these two stages has been made
     """
 
     level: int
     finest: int
-    coverage: float = 1.0
+    coverage: Coverage = WHOLE
     plan: Plan | None = None
     last_check: LastCheck | None = None
     planned: frozenset[int] | None = None
     is_due: bool = False
+    next_level: int | None = None
+    is_half_made: bool = False
 
     @property
     def is_planned(self) -> bool:
@@ -164,10 +169,20 @@ class AdaptiveSampling:
         """
         drawn, total, choice = received.drawn, received.direct.total, self.choice
         setup, resolution = drawn.setup, drawn.resolution
-        if resolution.is_final or not (resolution.check or self.has_changed(total)):
+        is_to_judge = resolution.check or self.has_changed(total)
+        if resolution.is_final or not (is_to_judge or choice.next_level is not None):
             return None
         costs = self.history.costs
         is_first_echo = choice.last_check.total <= 0 < total and len(costs) < LOOP_PINGS
+        if choice.next_level is not None and not is_first_echo:
+            # one stage in a ping that does nothing else, since those of fine samples take as long as a ping
+            stage = self._model.stage_at(choice.next_level)
+            if choice.is_half_made:
+                self._model.coarser_stage(stage)
+                self.choice = replace(choice, level=choice.next_level, next_level=None)
+            else:
+                self.choice = replace(choice, is_half_made=True)
+            return None
         if not (resolution.check or is_first_echo or self._can_check(choice.level, received.coverage, costs)):
             self.choice = choice if choice.is_due else replace(choice, is_due=True)
             return None
@@ -178,7 +193,12 @@ class AdaptiveSampling:
             return self._search(setup)
         check = LastCheck(setup, total, self.history.n_pings)
         checked = replace(
-            choice, coverage=received.coverage, plan=judged.plan, last_check=check, is_due=False
+            choice,
+            coverage=received.coverage,
+            plan=judged.plan,
+            last_check=check,
+            is_due=False,
+            next_level=None,
         )
         if is_kept:
             self.choice = checked
@@ -217,34 +237,25 @@ class AdaptiveSampling:
         # coarser where none is finer: the next finer level costs less than the check that asked for it
         level = (finer or [wanted])[-1]
         finest = self.search.finest if level < choice.level else choice.finest
-        if self._can_check(level, choice.coverage, self._costs_with(level, choice.coverage)):
-            # made by this ping, since the next one is checked, and may have to make the coarser stage
-            self._model.stage_at(level)
-        return replace(choice, level=level, finest=finest, is_due=True)
+        return replace(choice, next_level=level, is_half_made=False, finest=finest, is_due=True)
 
-    def _cost(self, level: int, coverage: float) -> float:
-        """Return about what a ping costs without a check of its error, in samples that met a body.
-
-        coverage : as of `Stage.coverage`
-        """
+    def _cost(self, level: int, coverage: Coverage) -> float:
+        """Return about what a ping costs without a check of its error, in samples that met a body."""
         stage = self.resolution.stage
         per_count = stage.fan.n_samples / stage.sampling.count(self._sonar)
         # each ping asks for that of its own level, which the stage has at hand
         sampling = stage.sampling if level == self.choice.level else self._model.sampling_at(level)
         return self._cost_of(per_count * sampling.count(self._sonar), coverage)
 
-    def _cost_of(self, n_samples: float, coverage: float) -> float:
+    def _cost_of(self, n_samples: float, coverage: Coverage) -> float:
         return cost_of(self._sonar, self._stages.acoustics, n_samples, coverage)
 
-    def _can_check(self, level: int, coverage: float, costs: Sequence[float]) -> bool:
+    def _can_check(self, level: int, coverage: Coverage, costs: Sequence[float]) -> bool:
         """Return whether a ping of a level, whose cost is the last of these, may cost a check of its error, too."""
         return CHECK_COST * self._cost(level, coverage) <= MOST_COST * _usual(costs)
 
-    def costs_as_expected(self, coverage: float) -> bool:
-        """Return whether a ping costs about what was expected: as many of its samples as before met bodies.
-
-        coverage : as of `Stage.coverage`
-        """
+    def costs_as_expected(self, coverage: Coverage) -> bool:
+        """Return whether a ping costs about what was expected: it draws as many faces, and its samples meet as much."""
         choice = self.choice
         if choice.is_planned:
             return True
@@ -262,7 +273,7 @@ class AdaptiveSampling:
             return resolution
         costs, level = self.history.costs, choice.level
         is_loop, usual = len(costs) >= LOOP_PINGS, _usual(costs)
-        if is_loop and self._cost(level, coverage) > MOST_COST * usual:
+        if is_loop and self._cost(level, coverage) > MOST_FULL_COST * usual:
             while level > 0 and self._cost(level, coverage) > MOST_FINER_COST * usual:
                 level -= 1
         is_coarser = level < choice.level
@@ -271,7 +282,7 @@ class AdaptiveSampling:
         is_due = choice.is_due or is_coarser or drops_check
         self.choice = replace(choice, level=level, coverage=coverage, is_due=is_due)
         if is_coarser:
-            self.choice = replace(self.choice, plan=self._unverified(choice))
+            self.choice = replace(self.choice, plan=self._unverified(choice), next_level=None)
         if is_coarser or drops_check:
             return replace(self.resolution, halvings=resolution.halvings, is_final=True)
         return resolution
@@ -302,7 +313,7 @@ class AdaptiveSampling:
             ) from error
         if level < 0:
             raise error
-        self.choice = replace(self.choice, level=level, finest=level, is_due=True)
+        self.choice = replace(self.choice, level=level, finest=level, is_due=True, next_level=None)
         return replace(self.resolution, check=True)
 
     def has_changed(self, total: float) -> bool:
@@ -332,7 +343,7 @@ class AdaptiveSampling:
         choice = self.choice
         return PingHistory(before.n_pings + 1, setup, self._costs_with(choice.level, choice.coverage))
 
-    def _costs_with(self, level: int, coverage: float) -> tuple[float, ...]:
+    def _costs_with(self, level: int, coverage: Coverage) -> tuple[float, ...]:
         """Return the costs of the last pings with echo and of one to come, with the samples of a level.
 
         While there is no echo, a ping takes a small part of the time of one with as many samples on bodies.
@@ -342,10 +353,14 @@ class AdaptiveSampling:
             return costs
         return *costs[1 - RECENT :], self._cost(level, coverage)
 
+    def is_deciding(self, history: PingHistory) -> bool:
+        """Return whether the last ping of a history may change the samples of those after it, whatever it sees."""
+        return self.choice.next_level is not None or self.is_check_due(history)
+
     def is_check_due(self, history: PingHistory) -> bool:
         """Return whether the error of the last ping of a history is to be estimated."""
         choice, checked = self.choice, self.choice.last_check
-        if choice.is_planned:
+        if choice.is_planned or choice.next_level is not None:
             return False
         # the first one, or one that follows a ping that is still to choose
         if checked is None or len(history.costs) == 1:
@@ -372,11 +387,10 @@ class AdaptiveSampling:
         """Return the history with a ping to come whose samples are being chosen from it alone."""
         return PingHistory(self.history.n_pings + 1, setup)
 
-    def follow(self, setup: PingSetup, plan: Plan, total: float, coverage: float, n_pings: int) -> None:
+    def follow(self, setup: PingSetup, plan: Plan, total: float, coverage: Coverage, n_pings: int) -> None:
         """Warn if samples that were chosen from a ping alone do not suffice; then have later pings follow them.
 
         total : the sum of its echo
-        coverage : as of `Stage.coverage`
         n_pings : of the history that ends with it
         """
         self._warn_if_unmet(plan)
@@ -419,10 +433,11 @@ class AdaptiveSampling:
         self._has_warned = True
 
 
-def cost_of(sonar: Sonar, acoustics: Acoustics, n_samples: float, coverage: float) -> float:
-    """Return about what a ping costs, in samples that met a body; coverage : as of `Stage.coverage`."""
+def cost_of(sonar: Sonar, acoustics: Acoustics, n_samples: float, coverage: Coverage) -> float:
+    """Return about what a ping costs, in samples that met a body."""
     of_bins = (FILTERED_BIN if acoustics.pulse else BARE_BIN) * sonar.n_beams * sonar.n_bins
-    return FIXED_SAMPLES + of_bins * (1 + COVERED_BIN * coverage) + n_samples * coverage
+    of_samples = n_samples * coverage.share + FACE * coverage.n_faces
+    return FIXED_SAMPLES + of_bins * (1 + COVERED_BIN * coverage.share) + of_samples
 
 
 def _usual(costs: Sequence[float]) -> float:

@@ -29,7 +29,7 @@ from sonar_gl.engine.difference import share_of_difference, wrong_share
 from sonar_gl.engine.flow import PingSetup, Plan
 from sonar_gl.engine.obstruction import is_unobstructed
 from sonar_gl.engine.reception import Reception, reception_of
-from sonar_gl.engine.stage import Stage, StageCache
+from sonar_gl.engine.stage import Coverage, Stage, StageCache
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import (
@@ -96,7 +96,7 @@ class TriedView(NamedTuple):
     further: Sequence[ViewSamples] = ()
 
     @property
-    def coverage(self) -> float:
+    def coverage(self) -> Coverage:
         """As of `Stage.coverage`; first asked for while the samples are valid."""
         return self.stage.coverage(self.view)
 

@@ -14,7 +14,7 @@ from sonar_gl.beamform.labels import Labels
 from sonar_gl.engine.multipath import ImageSourceSamples
 from sonar_gl.engine.provenance import SampleOrigin
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.engine.stage import Stage
+from sonar_gl.engine.stage import WHOLE, Coverage, Stage
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.samples import ViewSamples
 from sonar_gl.sonar.sampling import WORST_BODY, Sampling
@@ -149,7 +149,7 @@ class DrawnPing:
     further: FurtherViews = NO_FURTHER_VIEWS
 
     @property
-    def coverage(self) -> float:
+    def coverage(self) -> Coverage:
         """As of `Stage.coverage`; first asked for while the samples are valid."""
         return self.resolution.stage.coverage(self.view)
 
@@ -165,7 +165,7 @@ class ReceivedPing:
     surface : BeamEcho of the water's surface; None if it scatters nothing, or is out of reach
     lobes : BeamEcho of the specular lobes, a part of `direct`; None where the ping does not need them
     texture : BeamEcho of the texture's deviation, with lobes; None where the ping does not need it
-    coverage : as of `Stage.coverage`
+    coverage : Coverage
     """
 
     drawn: DrawnPing
@@ -176,7 +176,7 @@ class ReceivedPing:
     surface: BeamEcho | None = None
     lobes: BeamEcho | None = None
     texture: BeamEcho | None = None
-    coverage: float = 1.0
+    coverage: Coverage = WHOLE
 
     @property
     def of_water(self) -> list[BeamEcho]:

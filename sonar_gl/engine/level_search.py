@@ -11,7 +11,7 @@ import numpy as np
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine.error_model import ErrorModel, TriedView
 from sonar_gl.engine.flow import PingSetup, Plan
-from sonar_gl.engine.stage import StageCache
+from sonar_gl.engine.stage import Coverage, StageCache
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.sampling import FINEST_LEVEL, level_of, typical_level
 
@@ -47,13 +47,13 @@ class FoundLevel(NamedTuple):
     ----------
     plan : Plan of that level
     total : the sum of the ping's echo
-    coverage : as of `Stage.coverage`
+    coverage : Coverage
     finest : the finest level that is known to fit there
     """
 
     plan: Plan
     total: float
-    coverage: float
+    coverage: Coverage
     finest: int
 
 

@@ -8,7 +8,7 @@ from typing import Protocol
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine.flow import DrawnPing, PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
-from sonar_gl.engine.stage import StageCache
+from sonar_gl.engine.stage import Coverage, StageCache
 from sonar_gl.sonar.sampling import Sampling
 
 
@@ -42,8 +42,8 @@ class Sampler(Protocol):
     def history_with(self, setup: PingSetup) -> object:
         """Return the history with a ping to come, which has the samples of those before."""
 
-    def is_check_due(self, history: object) -> bool:
-        """Return whether the error of the last ping of a history is to be estimated."""
+    def is_deciding(self, history: object) -> bool:
+        """Return whether the last ping of a history may change the samples of those after it, whatever it sees."""
 
     def has_changed(self, total: float) -> bool:
         """Return whether something came into view, or left, by the sum of the echo."""
@@ -60,14 +60,13 @@ class Sampler(Protocol):
     def affordable(self, drawn: DrawnPing) -> Resolution:
         """Return the resolution with which to receive a ping that was drawn: its own, unless that stalls a loop."""
 
-    def costs_as_expected(self, coverage: float) -> bool:
-        """Return whether `affordable` leaves all as it is for a ping of a coverage, as of `Stage.coverage`."""
+    def costs_as_expected(self, coverage: Coverage) -> bool:
+        """Return whether `affordable` leaves all as it is for a ping of a coverage."""
 
-    def follow(self, setup: PingSetup, plan: Plan, total: float, coverage: float, n_pings: int) -> None:
+    def follow(self, setup: PingSetup, plan: Plan, total: float, coverage: Coverage, n_pings: int) -> None:
         """Have later pings follow samples that were chosen from a ping alone, by this sampler or in another thread.
 
         total : the sum of its echo
-        coverage : as of `Stage.coverage`
         n_pings : of the history that ends with it, which it becomes unless later ones are in the history already
         """
 
@@ -99,6 +98,6 @@ class FixedSampling(Sampler):
         """Return the ping's own."""
         return drawn.resolution
 
-    def costs_as_expected(self, coverage: float) -> bool:
+    def costs_as_expected(self, coverage: Coverage) -> bool:
         """Return True."""
         return True

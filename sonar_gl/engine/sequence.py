@@ -100,8 +100,8 @@ class _Upcoming:
     def take(self, most: int, can_choose: bool) -> _Batch:
         """Take the next pings that can be drawn at once, `most` of them or as many as BATCH_SAMPLES allow.
 
-        A ping has to wait if its error, or that of its multipath, is to be estimated, or if it follows one that is
-        still to choose its samples.
+        A ping has to wait if its error, or that of its multipath, is to be estimated, or if it makes what finer samples
+        need, or follows one that is still to choose its samples.
         So has one whose samples are chosen from it alone, unless a thread can do that. If its request asks for it, none
         can: its image sources, too, depend on no other ping.
         """
@@ -117,7 +117,7 @@ class _Upcoming:
                     return _Batch(batch, must_wait=True)
                 return _Batch([self._taken(setup, sampler.history_with_apart(setup))], is_apart=True)
             history = sampler.history_with(setup)
-            if sampler.is_check_due(history) or self._run.image_sampling.choice.is_due:
+            if sampler.is_deciding(history) or self._run.image_sampling.choice.is_due:
                 return _Batch(batch, must_wait=True)
             batch.append(self._taken(setup, history))
         return _Batch(batch)

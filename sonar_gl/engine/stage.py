@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import Beamformer, beam_shape, make_beamformer
@@ -27,7 +28,23 @@ MAX_STAGES = 48  # the levels of pings that choose their samples alone, of image
 MAX_BYTES = 40e6  # of tables in all stages but the last two
 # The memory of views is given back where so many in a row have so many times fewer samples than the largest before.
 KEPT_VIEWS, MUCH_FEWER = 100, 4
-EMPTY_SAMPLE = 0.12  # time of a sample that is drawn and met nothing, relative to one that met a body
+EMPTY_SAMPLE = 0.37  # time of a sample that is drawn and met nothing, relative to one that met a body
+
+
+class Coverage(NamedTuple):
+    """What of a view takes time.
+
+    Attributes
+    ----------
+    share : of the fan's samples: those that met a body, and a little of the others that were drawn
+    n_faces : that were drawn
+    """
+
+    share: float
+    n_faces: int
+
+
+WHOLE = Coverage(1.0, 0)  # of a view of which nothing is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +85,10 @@ class Stage:
             out.append(view)
         return out
 
-    def coverage(self, view: ViewSamples) -> float:
-        """Return the share of the fan's samples that take time: those that met a body, and a little of the others.
-
-        First asked for while they are valid.
-        """
-        return (view.n_met + EMPTY_SAMPLE * (view.n_samples - view.n_met)) / self.fan.n_samples
+    def coverage(self, view: ViewSamples) -> Coverage:
+        """Return what of a view takes time; first asked for while its samples are valid."""
+        n_counted = view.n_met + EMPTY_SAMPLE * (view.n_samples - view.n_met)
+        return Coverage(n_counted / self.fan.n_samples, view.n_faces)
 
     def with_bubbles(self, view: ViewSamples, bubbles, pose) -> ViewSamples:
         """Return a view attenuated behind bubbles, in place, and with their echoes.

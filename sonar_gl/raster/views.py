@@ -186,6 +186,7 @@ class SectorLayout:
         face_id: np.ndarray = NO_FACES,
         body_spans: np.ndarray = NO_SPANS,
         is_dark: Sequence[bool] | None = None,
+        n_faces: int = 0,
     ) -> ViewSamples:
         """Return the samples of a view.
 
@@ -194,6 +195,7 @@ class SectorLayout:
             face_id of no size if they are not known
         body_spans : of `ViewSamples`
         is_dark : of each sector, whether all of its samples met nothing; None if that is not known
+        n_faces : of `ViewSamples`
         """
         sectors, lefts, table = self._place((*windows, is_dark))
         out = []
@@ -205,7 +207,8 @@ class SectorLayout:
             bodies = body_id[here] if body_id.size else NO_BODIES
             faces = face_id[here] if face_id.size else NO_FACES
             out.append(SectorSamples(sector, plane_echo[here], bodies, faces))
-        return ViewSamples(tuple(out), plane_echo, lefts, face_id, body_id, table, body_spans)
+        arrays = plane_echo, lefts, face_id, body_id, table, body_spans
+        return ViewSamples(tuple(out), *arrays, n_faces=n_faces)
 
     def _place(self, key: tuple) -> tuple:
         """Return the sectors of windows, where these begin, and their SectorTable; kept, since windows often stay.

@@ -160,6 +160,7 @@ class ViewSamples:
         its box; empty if it is not known
     bubbles : (m, 4) azimuth, sine of elevation, range, steradians of point scatterers; None without plumes
     is_lit : whether the samples of each sector are the window that `SectorSamples.with_echo` finds
+    n_faces : how many faces were drawn; 0 if that is not known
     """
 
     sectors: tuple[SectorSamples, ...]
@@ -171,6 +172,7 @@ class ViewSamples:
     body_spans: np.ndarray = field(default_factory=lambda: NO_SPANS)
     bubbles: np.ndarray | None = None
     is_lit: bool = False
+    n_faces: int = 0
 
     @property
     def n_samples(self) -> int:

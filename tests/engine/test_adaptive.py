@@ -21,7 +21,7 @@ from sonar_gl.engine.multipath import COARSEST, ImageSources
 from sonar_gl.engine.no_echo import ECHO_LOST, NoEchoWarning
 from sonar_gl.engine.replan_trigger import CHECK_EVERY
 from sonar_gl.engine.request import PingRequest
-from sonar_gl.engine.stage import KEPT_VIEWS, Stage, StageCache
+from sonar_gl.engine.stage import KEPT_VIEWS, Coverage, Stage, StageCache
 from sonar_gl.sonar.sampling import FINEST_LEVEL, ToleranceWarning, sampling_at
 from tests.support.errors import error_of
 from tests.support.estimates import record_estimates
@@ -42,6 +42,11 @@ pytestmark = pytest.mark.usefixtures("few_first_rays")
 def cost_of(n_samples, coverage):
     """Return what a ping of SONAR costs, in samples."""
     return adaptive.cost_of(SONAR, IDEAL, n_samples, coverage)
+
+
+def times(share, coverage):
+    """Return a coverage of so many times the samples, and the same faces."""
+    return coverage._replace(share=share * coverage.share)
 
 
 class TestMoving:
@@ -97,7 +102,7 @@ class TestMoving:
     def test_a_check_moves_the_level_as_far_as_there_are_samples(
         self, simulator, level, finest, steps, expected, monkeypatch
     ):
-        """And has the new level checked; at any cost, here. Its stage is made already, and no memory given back yet."""
+        """And has the new level checked; at any cost, here. Two pings make its stages, and no memory is given back."""
         judge, make, made, dropped = error_model.ErrorModel.judge, StageCache.make, [], []
 
         def judged(*arguments):
@@ -113,12 +118,19 @@ class TestMoving:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             simulator.ping(np.eye(4))
+            made.clear()
+            n_made = []
+            for _ in range(2 * (expected[0] != level)):
+                assert sampler.choice.level == level
+                assert simulator.ping(np.eye(4)).meta["sampling"] == vars(sampling_at(SONAR, level))
+                n_made.append(len(made))
         choice = sampler.choice
-        made.clear()
         with simulator.run.drawing():
             assert sampler.resolution.stage.sampling == sampling_at(SONAR, choice.level)
-        assert (choice.level, choice.finest, choice.is_due) == expected
-        assert not made and not dropped
+            sampler.search.model.coarser_stage(sampler.resolution.stage)
+        assert (choice.level, choice.finest, choice.is_due, choice.next_level) == (*expected, None)
+        assert n_made in ([], [0, 0], [0, 1], [1, 1], [1, 2]) and not dropped
+        assert len(made) == (n_made or [0])[-1]
         assert [one.category for one in caught] == [ToleranceWarning] * (steps > 0 and level == finest)
 
     @pytest.mark.parametrize(("share", "is_due"), [(1.001, True), (0.999, False)])
@@ -162,21 +174,21 @@ class TestMoving:
             median = share * cost_of(times * stage.fan.n_samples, coverage) / 1.65
             sampler.history = sampler.history._replace(costs=(median,) * 9)
             simulator.ping(np.eye(4))
-            assert sampler.choice.level == level and sampler.choice.is_due
+            assert (sampler.choice.level, sampler.choice.next_level) == (2, level) and sampler.choice.is_due
 
     @pytest.mark.parametrize("is_checked", [False, True])
-    @pytest.mark.parametrize("most", [2.3, math.inf])
+    @pytest.mark.parametrize("most", [2.0, math.inf])
     def test_a_view_that_fills_has_fewer_samples_at_once(self, simulator, is_checked, most, monkeypatch):
         """Fine samples cost little where few meet a body. Without a limit they stay as a body comes into view."""
-        monkeypatch.setattr(adaptive, "MOST_COST", most)
+        monkeypatch.setattr(adaptive, "MOST_FULL_COST", most)
         calls, sampler = record_estimates(monkeypatch), simulator.run.sampler
         coverage = sampler.choice.coverage
         with simulator.run.drawing():
             n_fine, n_coarse = (sampler.search.model.stage_at(n).fan.n_samples for n in (16, 12))
         # what 16 levels cost before the body came; what 12 cost now is just as much as finer samples may
-        sampler.choice = replace(sampler.choice, level=16, coverage=0.0, is_due=is_checked)
-        usual = cost_of(n_coarse, 1.01 * coverage) / 1.65
-        assert 2.3 * usual < cost_of(n_fine, 0.99 * coverage)
+        sampler.choice = replace(sampler.choice, level=16, coverage=times(0, coverage), is_due=is_checked)
+        usual = cost_of(n_coarse, times(1.01, coverage)) / 1.65
+        assert 2.0 * usual < cost_of(n_fine, times(0.99, coverage))
         sampler.history = sampler.history._replace(costs=(usual,) * 20)
         ping = simulator.ping(sg.pose(0.001))
         choice = sampler.choice
@@ -185,7 +197,7 @@ class TestMoving:
             return
         assert not calls and choice.is_due
         assert choice.level == 12 and ping.meta["sampling"] == vars(sampler.search.model.sampling_at(12))
-        assert choice.coverage == pytest.approx(coverage, rel=0.02)
+        assert choice.coverage.share == pytest.approx(coverage.share, rel=0.02)
         assert ping.error_estimate == pytest.approx(2**1.3 * sampler.tolerance)
         simulator.ping(sg.pose(0.002))
         assert sampler.choice.level == 12 and not calls  # a check costs more than a ping may
@@ -195,12 +207,20 @@ class TestMoving:
         """By what was seen before it was affordable. Fewer pings than a loop has are checked at any cost."""
         calls, sampler = record_estimates(monkeypatch), simulator.run.sampler
         choice = sampler.choice
-        sampler.choice = replace(choice, coverage=0.1 * choice.coverage, is_due=True)
+        sampler.choice = replace(choice, coverage=times(0.1, choice.coverage), is_due=True)
         usual = 0.99 * 2.1 / 2.3 * cost_of(sampler.plan.n_samples, choice.coverage)
         sampler.history = sampler.history._replace(costs=(usual,) * n_pings)
         simulator.ping(np.eye(4))
         assert bool(calls) == is_checked and sampler.choice.is_due == (not is_checked)
         assert sampler.choice.level == choice.level and sampler.choice.coverage == choice.coverage
+
+    @pytest.mark.parametrize(("times_more", "is_expected"), [(1, True), (1.01, True), (30, False)])
+    def test_faces_that_come_into_view_cost_time(self, simulator, times_more, is_expected):
+        """A floor of many small faces costs more than its samples. Those of the ball and the floor are drawn."""
+        coverage = simulator.run.sampler.choice.coverage
+        assert 0 < coverage.n_faces <= sum(len(one.mesh.faces) for one in ball_and_floor().bodies)
+        more = coverage._replace(n_faces=round(times_more * coverage.n_faces))
+        assert simulator.run.sampler.costs_as_expected(more) == is_expected
 
     @pytest.mark.parametrize(("share", "is_made_again"), [(0.8, True), (0.95, False), (1.0, False)])
     def test_a_ping_made_ahead_that_costs_other_than_expected_is_made_again(
@@ -212,7 +232,7 @@ class TestMoving:
         with run.drawing():
             (drawn,) = pipeline.draw(None, [setup], run.resolution_ahead)
             received = pipeline.receive(drawn)
-            received = replace(received, coverage=share * received.coverage)
+            received = replace(received, coverage=times(share, received.coverage))
             assert run.review_ahead(received, run.sampler.choice) == is_made_again
 
     @pytest.mark.slow
@@ -234,7 +254,7 @@ class TestMoving:
         with sg.Simulator(ball_and_floor(), SONAR, IDEAL) as simulator:
             simulator.ping(np.eye(4))
             run, plan = simulator.run, simulator.run.sampler.plan
-            sampler, unmet = run.sampler, replace(plan, level=5, met=False)
+            sampler, unmet, half = run.sampler, replace(plan, level=5, met=False), Coverage(0.5, 1000)
             for _ in range(10):
                 simulator.ping(np.eye(4))
             history = sampler.history
@@ -242,7 +262,7 @@ class TestMoving:
             setup = run.set_up(PingRequest(np.eye(4)))
             before = sampler.choice
             sampler.follow(
-                run.set_up(PingRequest(np.eye(4), alone=True)), plan, 7.0, 0.5, history.n_pings + 1
+                run.set_up(PingRequest(np.eye(4), alone=True)), plan, 7.0, half, history.n_pings + 1
             )
             assert (sampler.choice, sampler.history) == (before, history)
             ended = sampler.history_with_apart(setup)
@@ -251,19 +271,19 @@ class TestMoving:
             sampler.history = ended  # the next one is checked, in whatever place
             assert sampler.is_check_due(sampler.history_with(setup))
             sampler.history = history
-            sampler.follow(setup, plan, 7.0, 0.5, history.n_pings - 1)  # later ones were added meanwhile
+            sampler.follow(setup, plan, 7.0, half, history.n_pings - 1)  # later ones were added meanwhile
             assert sampler.history is history
             assert (sampler.choice.level, sampler.choice.finest) == (plan.level, FINEST_LEVEL)
             assert (sampler.choice.last_check, sampler.choice.coverage) == (
                 (setup, 7.0, history.n_pings - 1),
-                0.5,
+                half,
             )
             for n_pings in (history.n_pings, history.n_pings + 3):
                 with (
                     contextlib.nullcontext() if n_pings > history.n_pings else pytest.warns(ToleranceWarning)
                 ):
-                    sampler.follow(setup, unmet, 7.0, 0.5, n_pings)
-                assert sampler.history == (n_pings, setup, (cost_of(plan.n_samples, 0.5),))
+                    sampler.follow(setup, unmet, 7.0, half, n_pings)
+                assert sampler.history == (n_pings, setup, (cost_of(plan.n_samples, half),))
                 assert (sampler.choice.level, sampler.choice.finest) == (5, 5)
 
     def test_no_ping_tries_what_did_not_fit_in_the_first(self, monkeypatch):
@@ -347,7 +367,8 @@ class TestMoving:
             sampler.history = sampler.history._replace(costs=costs[:1] * n_before or costs)
             monkeypatch.setattr(Stage, "draw", lambda *of, **more: n_drawn.append(1) or draw(*of, **more))
             estimate = simulator.ping(sg.pose(x=-11.8)).error_estimate
-            assert sampler.choice.level > before
+            sampled = sampler.choice.next_level or sampler.choice.level
+            assert sampled > before
             if n_before < adaptive.LOOP_PINGS:
                 assert 0 < estimate <= 0.02 and sampler.plan.met
             else:
@@ -506,7 +527,7 @@ class TestMoving:
             levels = []
             for yaw in (0, math.pi, 0):
                 # the first choice after a turn may be too fine, which a check after CHECK_EVERY pings finds
-                for k in range(CHECK_EVERY + 2):
+                for k in range(CHECK_EVERY + 4):
                     simulator.ping(sg.pose(y=1e-3 * k, yaw=yaw))
                 levels.append(level_of(simulator))
         assert levels[0] == levels[2] == 0 and levels[1] > 8

@@ -13,7 +13,7 @@ from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.engine import adaptive
 from sonar_gl.engine.adaptive import AdaptiveSampling
 from sonar_gl.engine.error_model import ErrorModel
-from sonar_gl.engine.stage import Stage, StageCache
+from sonar_gl.engine.stage import WHOLE, Stage, StageCache
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
 from sonar_gl.sonar.sampling import ToleranceWarning
 from tests.support.wall_and_rods import row_of_rods, wall
@@ -38,7 +38,7 @@ def record_costs(monkeypatch):
     costs, draw = [], Stage.draw
 
     def counted(stage, *arguments, **more):
-        costs.append(adaptive.cost_of(SONAR, IDEAL, stage.fan.n_samples, 1.0))
+        costs.append(adaptive.cost_of(SONAR, IDEAL, stage.fan.n_samples, WHOLE))
         return draw(stage, *arguments, **more)
 
     monkeypatch.setattr(Stage, "draw", counted)
@@ -110,7 +110,8 @@ def test_an_echo_that_comes_back_costs_no_more(monkeypatch, loop):
 
 @pytest.mark.slow
 def test_without_that_limit_single_pings_stall(monkeypatch):
-    monkeypatch.setattr(adaptive, "MOST_COST", math.inf)
+    for name in ("MOST_COST", "MOST_FULL_COST"):
+        monkeypatch.setattr(adaptive, name, math.inf)
     assert worst_of(swim(monkeypatch)[0][1:]) > 5
 
 
@@ -148,8 +149,10 @@ def test_pings_that_wait_for_a_check_have_made_what_it_needs(monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_stage_of_samples_that_are_not_checked_at_once_is_made_by_the_ping_that_has_them(monkeypatch):
-    """The ping whose check asked for them made it, beside the stage of the check: it is the one that takes longest."""
+def test_no_ping_makes_two_stages_and_none_that_is_checked_makes_any(monkeypatch):
+    """Each takes as long as a ping where samples are fine. The check that asked for them made one, or the ping after it
+    both.
+    """
     made, make = [], StageCache.make
     monkeypatch.setattr(StageCache, "make", lambda *arguments: made.append(0) or make(*arguments))
     checks, judge = [], ErrorModel.judge
@@ -162,11 +165,8 @@ def test_the_stage_of_samples_that_are_not_checked_at_once_is_made_by_the_ping_t
             checks.clear()
             simulator.ping(pose)
             counts.append((len(made), len(checks)))
-    last = [
-        (n, after) for (n, is_checked), (after, is_next) in pairwise(counts) if is_checked and not is_next
-    ]
-    # the stages of that check were there already
-    assert max(n for n, _ in last) == 0 and max(after for _, after in last) == 2
+    assert max(n for n, is_checked in counts) == 1
+    assert max(n for n, is_checked in counts if is_checked) == 0
 
 
 @pytest.mark.slow

@@ -234,7 +234,7 @@ class CpuRenderer:
             )
         is_met, lit = (np.array(one) for one in zip(*parts, strict=True))
         is_dark = tuple((~is_met.any(axis=0)).tolist())
-        whole = self._layout.samples(windows, *samples, bodies.spans, is_dark)
+        whole = self._layout.samples(windows, *samples, bodies.spans, is_dark, n_faces)
         if len(images) == 1:
             return [whole]
         first, past = lit.min(axis=0), lit.max(axis=0)

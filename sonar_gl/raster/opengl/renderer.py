@@ -51,12 +51,15 @@ class SectorDraws(NamedTuple):
     """What a sector draws.
 
     first, n_closed, n : its draws among those of all poses; the first of them are of closed bodies
+    window : Window
+    n_faces : how many faces these draws have
     """
 
     first: int
     n_closed: int
     n: int
     window: Window
+    n_faces: int
 
 
 class RenderTarget:
@@ -259,13 +262,13 @@ class OpenGLRenderer:
         meshes, out = self._buffers.meshes, []
         chosen = self._workspace.chosen.take(len(self._sectors), meshes.most_patches)
         found = meshes.choose(self._stacked, bodies, chosen)
-        for view, patches, (n, _, *window) in zip(self._sectors, chosen, found.tolist(), strict=True):
+        for view, patches, (n, n_faces, *window) in zip(self._sectors, chosen, found.tolist(), strict=True):
             first, n_closed = sum(map(len, listed)), 0
             if n:
                 listed.append(draws_of(patches[:n], meshes, number * len(meshes.bodies)))
                 if bodies.outside:
                     n_closed = np.count_nonzero(meshes.boxes.closed[patches[:n, 1]])
-            out.append(SectorDraws(first, n_closed, n, view.whole if full else Window(*window)))
+            out.append(SectorDraws(first, n_closed, n, view.whole if full else Window(*window), n_faces))
         return out
 
     def _draw(
@@ -278,7 +281,7 @@ class OpenGLRenderer:
         )
         self._context.enable_direct(CLIP_DISTANCE0)
         left = 0
-        for view, (first, n_closed, n, window) in zip(self._sectors, sectors, strict=True):
+        for view, (first, n_closed, n, window, _) in zip(self._sectors, sectors, strict=True):
             if n:
                 sector, (i, j, columns, n_rows) = view.sector, window
                 side, end = self._border_of(sector)
@@ -299,8 +302,8 @@ class OpenGLRenderer:
 
     def _read(self, target: RenderTarget, draws: list[SectorDraws], bodies: BodiesInView) -> ViewSamples:
         """Return what was drawn."""
-        windows = [one.window for one in draws]
-        return self._layout.samples(windows, *target.read(), body_spans=bodies.spans)
+        windows, n_faces = [one.window for one in draws], sum(one.n_faces for one in draws)
+        return self._layout.samples(windows, *target.read(), body_spans=bodies.spans, n_faces=n_faces)
 
     def _check_size(self, width: int, height: int) -> None:
         if max(width, height) > self._limit:
