@@ -44,6 +44,9 @@ MIN_SHARE = 0.015  # bodies whose multipath may be more of the direct echo count
 # A body whose multipath may count keeps about so many samples, in the direct view and where its image should be: if a
 # small one were missed, its multipath would seem to be weak, and the samples to suffice.
 LEAST_ON_BODY = 16
+# As a sonar moves, samples get finer by one halving at a time, so that no ping takes much longer than those before.
+# They get finer again after so many pings, more than half of those that count for what a ping usually takes.
+PINGS_BEFORE_FINER = 55
 
 
 class MultipathEcho(NamedTuple):
@@ -98,6 +101,8 @@ class HalvingChoice(NamedTuple):
         what a comparison shows to the next ping, so that none takes much longer than those before
     is_due : the next ping is to be compared with one of the coarsest samples
     finest : the least halvings whose samples are known to fit, in the last ping
+    before : halvings of the ping before; FINEST where there is none to follow
+    n_waiting : pings to come until samples may get finer than that
     """
 
     halvings: int
@@ -106,6 +111,8 @@ class HalvingChoice(NamedTuple):
     is_new: bool = False
     is_due: bool = False
     finest: int = FINEST
+    before: int = FINEST
+    n_waiting: int = 0
 
 
 class ImageSampling:
@@ -136,7 +143,11 @@ class ImageSampling:
             return self.begin_alone()
         if not self.choice.is_fixed:
             halvings = COARSEST if self.choice.is_due else self.choice.halvings
-            self.choice = self.choice._replace(halvings=halvings, is_new=False, is_due=check, finest=FINEST)
+            before, n_waiting = self.choice.halvings, self.choice.n_waiting
+            n_waiting = PINGS_BEFORE_FINER if before < self.choice.before else max(n_waiting - 1, 0)
+            self.choice = HalvingChoice(
+                halvings, False, self.choice.error, is_due=check, before=before, n_waiting=n_waiting
+            )
         return self.choice.halvings
 
     @property
@@ -191,6 +202,8 @@ class ImageSampling:
                 # a small body echoes by way of a reflector alone, and the difference may show half of the error.
                 step = 1 if own > 0 else 2
                 wanted = max(own - step, _finest_for(echo.images))
+            if not choice.is_new:
+                wanted = max(wanted, choice.before - (choice.n_waiting == 0))
             self.choice = choice = choice._replace(
                 halvings=min(max(choice.halvings, kept), wanted), error=error
             )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sonar_gl.beamform.beamformer import BeamEcho
-from sonar_gl.engine.image_sampling import ImageSampling, MultipathEcho
+from sonar_gl.engine.image_sampling import PINGS_BEFORE_FINER, ImageSampling, MultipathEcho
 from sonar_gl.engine.multipath import COARSEST, BodySamples
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES
 
@@ -70,3 +70,17 @@ def test_few_samples_on_what_images_see_end_the_halvings():
 def test_only_a_comparison_asks_for_more_samples_than_those_of_the_direct_echo():
     assert reviewed(COARSEST, coarser=False, on_image=5.0) == 0
     assert reviewed(0, coarser=False, on_image=5.0) == 0
+
+
+def test_as_a_sonar_moves_samples_get_finer_by_one_halving_at_a_time():
+    """Four times as many in each of some pings took eighty times the median. Coarser ones do not wait."""
+    sampling, coarser = ImageSampling(TOLERANCE, each_alone=False), echo_of(COARSEST, 50.0, 1.0)
+    sampling.begin(check=False)
+    sampling.review(echo_of(1), coarser)
+    used = []
+    for _ in range(PINGS_BEFORE_FINER + 5):
+        used.append(sampling.begin(check=False))
+        sampling.review(echo_of(used[-1]), coarser)
+    assert used == [0] + [-1] * (PINGS_BEFORE_FINER + 1) + [-2] * 3
+    sampling.review(echo_of(-2), echo_of(COARSEST, 50.0))  # without a difference, and so without an error
+    assert sampling.begin(check=False) == COARSEST
