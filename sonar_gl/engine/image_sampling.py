@@ -103,6 +103,7 @@ class HalvingChoice(NamedTuple):
     finest : the least halvings whose samples are known to fit, in the last ping
     before : halvings of the ping before; FINEST where there is none to follow
     n_waiting : pings to come until samples may get finer than that
+    n_samples : of the fan of the last ping, which the halvings refer to; 0 where there is none to follow
     """
 
     halvings: int
@@ -113,6 +114,7 @@ class HalvingChoice(NamedTuple):
     finest: int = FINEST
     before: int = FINEST
     n_waiting: int = 0
+    n_samples: int = 0
 
 
 class ImageSampling:
@@ -133,20 +135,32 @@ class ImageSampling:
             self.choice = HalvingChoice(COARSEST, is_new=True)
         return self.choice.halvings
 
-    def begin(self, check: bool) -> int:
+    def begin(self, check: bool, n_samples: int) -> int:
         """Return the halvings of the next ping: those of the last, or the most, to compare with others after it.
+
+        More where the direct echo has many times the samples of before, or image sources would have as many more.
 
         check : the error of this ping's direct echo is estimated. That of its multipath would take as long again: it is
             due in the next ping
+        n_samples : of the ping's fan
         """
         if self._begins_anew:
             return self.begin_alone()
         if not self.choice.is_fixed:
-            halvings = COARSEST if self.choice.is_due else self.choice.halvings
-            before, n_waiting = self.choice.halvings, self.choice.n_waiting
-            n_waiting = PINGS_BEFORE_FINER if before < self.choice.before else max(n_waiting - 1, 0)
+            last = self.choice
+            more = int(math.log2(max(n_samples / (last.n_samples or n_samples), 1)))
+            before = min(last.halvings + more, COARSEST)
+            n_waiting = max(last.n_waiting - 1, 0) if last.halvings == last.before else 0
+            if more or last.halvings < last.before:
+                n_waiting = PINGS_BEFORE_FINER
             self.choice = HalvingChoice(
-                halvings, False, self.choice.error, is_due=check, before=before, n_waiting=n_waiting
+                COARSEST if last.is_due else before,
+                False,
+                last.error,
+                is_due=check,
+                before=before,
+                n_waiting=n_waiting,
+                n_samples=n_samples,
             )
         return self.choice.halvings
 

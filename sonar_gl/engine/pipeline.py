@@ -161,7 +161,8 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
 
 def _sample_once(run: Run, setup: PingSetup, resolution: Resolution) -> ReceivedPing:
     """Draw and receive a ping once, and choose how finely its image sources are sampled."""
-    resolution = replace(resolution, halvings=run.image_sampling.begin(resolution.check))
+    halvings = run.image_sampling.begin(resolution.check, resolution.stage.fan.n_samples)
+    resolution = replace(resolution, halvings=halvings)
     (drawn,) = draw(run.image_sources, [setup], resolution)
     affordable = run.sampler.affordable(drawn)
     if affordable.stage is not resolution.stage:

@@ -287,7 +287,8 @@ class Run:
         if not sampler.costs_as_expected(received.coverage):
             return True
         # those before may have changed how finely it has to be sampled
-        return self.image_sampling.begin(check=False) != resolution.halvings or self._review_images(received)
+        halvings = self.image_sampling.begin(check=False, n_samples=resolution.stage.fan.n_samples)
+        return halvings != resolution.halvings or self._review_images(received)
 
     def _review_images(self, received: ReceivedPing, coarser: ReceivedPing | None = None) -> bool:
         """Adapt how finely image sources are sampled; return whether those of this ping are to be drawn finer.

@@ -75,12 +75,18 @@ def test_only_a_comparison_asks_for_more_samples_than_those_of_the_direct_echo()
 def test_as_a_sonar_moves_samples_get_finer_by_one_halving_at_a_time():
     """Four times as many in each of some pings took eighty times the median. Coarser ones do not wait."""
     sampling, coarser = ImageSampling(TOLERANCE, each_alone=False), echo_of(COARSEST, 50.0, 1.0)
-    sampling.begin(check=False)
+    sampling.begin(check=False, n_samples=1000)
     sampling.review(echo_of(1), coarser)
     used = []
     for _ in range(PINGS_BEFORE_FINER + 5):
-        used.append(sampling.begin(check=False))
+        used.append(sampling.begin(check=False, n_samples=1000))
         sampling.review(echo_of(used[-1]), coarser)
     assert used == [0] + [-1] * (PINGS_BEFORE_FINER + 1) + [-2] * 3
     sampling.review(echo_of(-2), echo_of(COARSEST, 50.0))  # without a difference, and so without an error
-    assert sampling.begin(check=False) == COARSEST
+    assert sampling.begin(check=False, n_samples=1000) == COARSEST
+    used = []
+    sampling.review(echo_of(-2), coarser)
+    for n_samples in (1000, 1000, 1999, 8000):
+        used.append(sampling.begin(check=False, n_samples=n_samples))
+        sampling.review(echo_of(used[-1]), coarser)
+    assert used == [2, 2, 2, 3]
