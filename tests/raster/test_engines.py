@@ -11,6 +11,7 @@ import sonar_gl as sg
 from sonar_gl.beamform.beamformer import NO_GAIN
 from sonar_gl.beamform.kernels import range_bins
 from sonar_gl.engine import world
+from sonar_gl.engine.request import PingRequest
 from sonar_gl.raster import cull
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster.cpu import engine as cpu
@@ -538,3 +539,17 @@ def test_of_bodies_whose_faces_coincide_the_first_one_is_seen(engine, names):
         np.testing.assert_array_equal(planes, planes_alone)
         np.testing.assert_array_equal(bodies, bodies_alone)
         assert (bodies <= 1).all() and (bodies == 1).any()
+
+
+@pytest.mark.usefixtures("driver")
+def test_both_engines_count_the_faces_that_they_draw():
+    """By what a ping costs a live loop chooses its samples, the same ones with both."""
+    scene, n_faces = sg.load_scene("diver"), []
+    for engine in ("cpu", "opengl"):
+        with sg.Simulator(scene, NARROW, sampling=SAMPLING, engine=engine) as simulator:
+            run = simulator.run
+            setup = run.set_up(PingRequest(scene.sonar_pose))
+            with run.drawing():
+                (view,) = run.sampler.resolution.stage.draw([setup.head_pose], [setup.state])
+            n_faces.append(view.n_faces)
+    assert n_faces[0] == n_faces[1] > 100
