@@ -26,9 +26,6 @@ import numpy as np
 # fractions approximate badly.
 SHEAR = 0.2764
 SHEAR_ROWS = 0.18
-# Columns rise by so much of a row against their neighbours at most: the golden ratio. Where few columns have many rows,
-# they would all meet a level edge at the few heights that a simple fraction has.
-MAX_RISE = 0.618
 # All rows together are shifted by so much of their length at most, where there are many short ones. With a simple
 # fraction of it, rays of some rows would lie on borders of strips, and rounding decide which strips they serve.
 MAX_SHEAR = 0.2487
@@ -210,13 +207,11 @@ def make_sector(
     if are_cones:  # rows that rise as steeply as a strip leans would meet it more than once
         lean = _greatest_lean(azimuth_rad, half_width_rad, max(abs(low), abs(high)))
         rise = min(rise, tan_width / ((high - low) * max(lean, 1e-9)))
-    most_columns = n_samples + 2 * math.ceil(MAX_SHEAR * n_samples / 2 + 0.5)
-    shear_v = min(rise * rows, MAX_RISE * most_columns) if shear else 0.0
+    shear_v = min(rise * rows, n_samples) if shear else 0.0
     R = 2 * math.ceil(((top - bottom) / dv + shear_v) / 2)
     shear_u = min(abs(shear) * R, MAX_SHEAR * n_samples)
     C = n_samples + 2 * math.ceil(shear_u / 2 + 0.5)
-    rise_rows = min(shear_v / C, MAX_RISE)
-    step_u, step_v = math.copysign(shear_u / R * du, shear), math.copysign(rise_rows * dv, shear)
+    step_u, step_v = math.copysign(shear_u / R * du, shear), math.copysign(shear_v / C * dv, shear)
     u = np.array([-(C - 1) / 2 * du - (R - 1) / 2 * step_u, du, step_u])
     v = np.array([(bottom + top) / 2 - (R - 1) / 2 * dv - (C - 1) / 2 * step_v, step_v, dv])
     return Sector(azimuth_rad, half_width_rad, R, C, u, v, low, high)

@@ -10,8 +10,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error
 from sonar_gl.sonar.sampling import HIGHEST, LEAST_COLUMNS, MIN_COLUMNS, Sampling, sampling_at
-from sonar_gl.sonar.sector import SHEAR, make_sector
-from tests.support.closed_forms import box_beams, plate_on_floor_echo, sphere_echo
+from tests.support.closed_forms import box_beams, sphere_echo
 from tests.support.sampled_scenes import IDEAL
 
 SIDESCAN = sg.Sonar("one beam", 900e3, 1, 500, 0.3, 40.0, 0.3, 0.5, 12.0)
@@ -52,35 +51,3 @@ def test_a_single_beam_divides_its_samples_well(distance_m):
     assert sampling.count(SIDESCAN) == as_before.count(SIDESCAN)
     error = errors_of(SIDESCAN, sampling, scene, exact)
     assert 4 * error < errors_of(SIDESCAN, as_before, scene, exact)
-
-
-@pytest.mark.parametrize("columns, rows", [(8, 252), (24, 1000), (32, 668), (16, 4000)])
-@pytest.mark.parametrize("shear", [SHEAR, -SHEAR])
-def test_few_columns_with_many_rows_meet_a_level_edge_at_different_heights(columns, rows, shear):
-    """They met it at three or four heights, as each column rose by about 2/3 or 3/4 of a row."""
-    sector = make_sector(0.0, 0.01, columns, rows, (-0.36, 0.36), shear)
-    heights = np.sort(np.arange(columns) * sector.v[1] / sector.v[2] % 1)
-    gaps = np.diff(np.append(heights, heights[0] + 1))
-    assert gaps.max() < 2.7 / columns  # of multiples of the golden ratio at most 2.62 of the mean
-    # in all columns a row lies no further than half its height inside the ends of the aperture
-    _, v = sector.sample_coordinates()
-    half = sector.v[2] / 2
-    assert v[0].max() < half - 0.36 and v[-1].min() > 0.36 - half
-
-
-def test_a_level_edge_before_a_single_beam():
-    """It is 0.0011, and was 0.0021 when each column rose by two thirds of a row."""
-    errors = []
-    for top_m in np.linspace(0.9, 1.3, 12):
-        exact = box_beams(
-            SIDESCAN,
-            lambda azimuth, top_m=top_m: plate_on_floor_echo(
-                2.2, top_m, 9.03, azimuth, math.radians(20), SIDESCAN.bin_edges_m
-            ),
-        )
-        plate = sg.Body(
-            "plate", trimesh.creation.box((0.02, 20, top_m)), sg.pose(9.04, 0, top_m / 2 - 2.2), 1.0
-        )
-        floor = sg.Body("floor", trimesh.creation.box((200, 200, 1)), sg.pose(0, 0, -2.7), 1.0)
-        errors.append(errors_of(SIDESCAN, Sampling(8.0, 252), sg.Scene([plate, floor]), exact))
-    assert np.mean(errors) < 0.0015
