@@ -172,6 +172,8 @@ class AdaptiveSampling:
         is_to_judge = resolution.check or self.has_changed(total)
         if resolution.is_final or not (is_to_judge or choice.next_level is not None):
             return None
+        if self.has_changed(total) and choice.plan.met:
+            choice = replace(choice, plan=self._unverified(choice))
         costs = self.history.costs
         is_first_echo = choice.last_check.total <= 0 < total and len(costs) < LOOP_PINGS
         if choice.next_level is not None and not is_first_echo:
@@ -282,18 +284,21 @@ class AdaptiveSampling:
         is_due = choice.is_due or is_coarser or drops_check
         self.choice = replace(choice, level=level, coverage=coverage, is_due=is_due)
         if is_coarser:
-            self.choice = replace(self.choice, plan=self._unverified(choice), next_level=None)
+            self.choice = replace(self.choice, next_level=None)
         if is_coarser or drops_check:
+            if is_coarser or choice.plan.met:
+                self.choice = replace(self.choice, plan=self._unverified(choice))
             return replace(self.resolution, halvings=resolution.halvings, is_final=True)
         return resolution
 
     def _unverified(self, before: Choice) -> Plan:
-        """Return the Plan of the coarser samples that are followed now, as if those of before just kept the tolerance.
+        """Return the Plan of the samples that are followed now, after the view has changed, or they became coarser.
 
-        It is not met until a check says so.
+        It is not met until a check says so: as if those of before, or of the next finer level, just kept the tolerance.
         """
         plan, stage = before.plan, self.resolution.stage
-        coarser = 2.0 ** (ERROR_RATE * (before.level - self.choice.level) / LEVELS_PER_HALF)
+        levels = max(before.level - self.choice.level, 1)
+        coarser = 2.0 ** (ERROR_RATE * levels / LEVELS_PER_HALF)
         return replace(
             plan,
             sampling=stage.sampling,

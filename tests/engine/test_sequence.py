@@ -281,6 +281,19 @@ def test_a_body_that_appears_later_gets_finer_samples(first, later):
     assert (together[first].error_estimate > 0.05) == (later > 0)
 
 
+def test_a_body_that_appears_in_a_loop_is_unverified_until_a_check():
+    """Of so many faces that its check must wait: the estimate without the body would be far below its error."""
+    wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(9), 0.3)
+    buoy = sg.Body("buoy", trimesh.creation.icosphere(3, 0.06), sg.pose(4, 0.3), 1.0)
+    first = LOOP_PINGS + 2
+    with simulator(None, [wall, buoy], tolerance=0.05) as it:
+        before = [it.ping(POSES[0], bodies={"buoy": None}) for _ in range(first)]
+        after = [it.ping(POSES[0]) for _ in range(3)]
+    assert before[-1].error_estimate < 0.05
+    assert {ping.meta["sampling"]["rows"] for ping in after} == {before[-1].meta["sampling"]["rows"]}
+    assert all(ping.error_estimate > 0.05 for ping in after)
+
+
 def test_a_change_of_the_echo_causes_a_new_estimate(monkeypatch):
     """The sonar turns slowly until a near body comes into view: the error is estimated at once."""
     with simulator(None, ASIDE, tolerance=0.05) as it:
