@@ -34,8 +34,11 @@ FIXED_SAMPLES, FACE, CHECK_COST = 10_000, 1.5, 2.1
 FILTERED_BIN, BARE_BIN, COVERED_BIN = 0.37, 0.02, 1.85
 # No ping with a check may cost more than MOST_COST times the usual one of the RECENT ones up to it. One whose view has
 # filled, which may have to be drawn once more, may cost no more than MOST_FULL_COST times, and the first one with finer
-# samples, which takes new memory, no more than MOST_FINER_COST times.
+# samples, which takes new memory, no more than MOST_FINER_COST times. Nor may it have more than MOST_MORE times as many
+# samples, two levels, unless it has fewer than FEW_SAMPLES: where few of many meet a body, they cost little, but their
+# memory takes longer than the ping.
 MOST_COST, MOST_FULL_COST, MOST_FINER_COST, RECENT = 2.3, 2.0, 1.65, 100
+MOST_MORE, FEW_SAMPLES = 2.1, 50_000
 LIKE_COST = 0.1  # share by which a ping may cost more or less than was expected
 # So many pings with echo, each near the one before, are a loop that must not stall. Fewer are those of a program that
 # looks at bodies now and then, or has others in each ping; or of a loop that has just begun.
@@ -235,7 +238,13 @@ class AdaptiveSampling:
         check: above the tolerance, if it asked for finer samples.
         """
         wanted, most = max(0, min(level, choice.finest)), MOST_FINER_COST * _usual(self.history.costs)
-        finer = [n for n in range(choice.level + 1, wanted + 1) if self._cost(n, choice.coverage) <= most]
+        room = max(FEW_SAMPLES, MOST_MORE * self._model.sampling_at(choice.level).count(self._sonar))
+        finer = [
+            n
+            for n in range(choice.level + 1, wanted + 1)
+            if self._cost(n, choice.coverage) <= most
+            and self._model.sampling_at(n).count(self._sonar) <= room
+        ]
         # coarser where none is finer: the next finer level costs less than the check that asked for it
         level = (finer or [wanted])[-1]
         finest = self.search.finest if level < choice.level else choice.finest

@@ -90,6 +90,7 @@ class TestMoving:
         ("level", "finest", "steps", "expected"),
         [
             (8, FINEST_LEVEL, 3, (11, FINEST_LEVEL, True)),
+            (20, FINEST_LEVEL, 9, (22, FINEST_LEVEL, True)),  # twice as many samples at most, of so many
             (8, 9, 3, (9, 9, True)),  # more do not fit
             (8, 8, 3, (8, 8, False)),
             (8, FINEST_LEVEL, 0, (8, FINEST_LEVEL, False)),
