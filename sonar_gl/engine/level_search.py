@@ -130,17 +130,13 @@ class LevelSearch:
     def _count(self, level: int) -> float:
         return self.model.sampling_at(level).count(self._stages.sonar)
 
-    def find_coarsest(
-        self, setup: PingSetup, first: int, finest: int | None = None, spare: int = 1
-    ) -> FoundLevel:
+    def find_coarsest(self, setup: PingSetup, first: int, finest: int | None = None) -> FoundLevel:
         """Find the coarsest level that keeps the tolerance in a ping, or the finest that fits.
 
         Parameters
         ----------
         first : level to begin with
         finest : the finest level to try; None for all
-        spare : how many levels finer than needed the last estimate may show it to be: another try costs some pings,
-            which few pings pay back
 
         Raises
         ------
@@ -170,7 +166,7 @@ class LevelSearch:
                 failed = max(failed, level)
             else:
                 kept = min(kept, level)
-            if -spare <= steps <= 0:
+            if steps == 0:
                 break
             level = min(max(level + steps, failed + 1), kept - 1)
             if level <= failed:
@@ -184,10 +180,10 @@ class LevelSearch:
         Their order does not count.
         """
         picked = evenly_picked(setups, MAX_POSES)
-        plans = [self.find_coarsest(setup, self.usual, spare=0).plan for setup in picked]
+        plans = [self.find_coarsest(setup, self.usual).plan for setup in picked]
         while not self._fit(picked, plans, level := max(plan.level for plan in plans)):
             plans = [
-                self.find_coarsest(setup, level - 1, level - 1, spare=0).plan if plan.level == level else plan
+                self.find_coarsest(setup, level - 1, level - 1).plan if plan.level == level else plan
                 for setup, plan in zip(picked, plans, strict=True)
             ]
         finest = [plan for plan in plans if plan.level == level]

@@ -83,15 +83,14 @@ def search_with():
         yield of
 
 
-@pytest.mark.parametrize("spare", [0, 1])
 @pytest.mark.parametrize("seed", [None, *range(3)])
-def test_the_coarsest_level_that_keeps_the_tolerance_is_found_from_any_other(search_with, seed, spare):
+def test_the_coarsest_level_that_keeps_the_tolerance_is_found_from_any_other(search_with, seed):
     """However rough estimates are; none is tried twice, and what is returned is of that level."""
     for needed in range(0, MOST + 3, 2):
         for fits in (3, 11, MOST):
             for first in range(0, MOST + 1, 3):
                 model = Model([needed], [fits], seed)
-                found = search_with(model).find_coarsest(0, first, spare=spare)
+                found = search_with(model).find_coarsest(0, first)
                 case, level = (needed, fits, first), found.plan.level
                 assert len(set(model.tried)) == len(model.tried), case
                 assert (found.total, found.coverage) == (total_of(level), 1 / (1 + level)), case
@@ -101,7 +100,7 @@ def test_the_coarsest_level_that_keeps_the_tolerance_is_found_from_any_other(sea
                 if needed >= fits:
                     assert level == fits or fits > level == needed, case
                 elif seed is None:
-                    assert 0 <= level - needed <= spare, case
+                    assert level == needed, case
                     assert len(model.tried) <= 4 + len(refused), case
                 else:  # or than the last estimate asked for
                     assert level == needed or model.tried[-1][1] == level > needed, case
@@ -181,15 +180,6 @@ def test_a_plan_has_the_finest_level_that_fits_in_all_pings(search_with, needed,
     assert (plan.level, plan.met) == (level, met)
     assert (plan.error_estimate, plan.worst_body_estimate) == (0.01 * (max(of) + 1), 0.1 / (min(of) + 1))
     assert plan.worst_body == min(of)
-
-
-def test_a_plan_has_no_level_to_spare_as_it_serves_many_pings(search_with):
-    model = Model([0], [MOST])
-    search = search_with(model)
-    first = min(search.usual, MOST)
-    model.needed = [first - 1]
-    assert search.find_coarsest(0, first).plan.level == first
-    assert search.find_for_all([Setup(0)]).level == first - 1
 
 
 def test_a_smaller_tolerance_takes_more_samples_and_errs_less():
