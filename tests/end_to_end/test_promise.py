@@ -22,11 +22,11 @@ WORLDS, LEAST = (*range(700, 704), 705, 706, 707, 709), 14
 
 
 # Worlds of `rods_before_a_wall` that keep the promise by little: each of the planner's terms and constants decides
-# in some of them. Without the compared lattices 107 and 143 break it; with both lattices sheared alike, 11 and 196;
+# in some of them. Without the compared lattices 107 and 143 break it; with both lattices sheared alike, 196;
 # with no regard for bodies of few samples, 63, 143, 151, 184 and 257; with bodies of 1/200 of the echo neglected, 1,
 # 43 and 249; with a bound of ten times the tolerance for a body, 20, 143, 151, 187, 214 and 257; with half the
 # difference of two lattices, 2, 46, 65, 130, 146 and 227.
-MARGINAL = (1, 2, 11, 20, 43, 46, 63, 65, 107, 130, 143, 146, 151, 184, 187, 196, 214, 227, 249, 257)
+MARGINAL = (1, 2, 20, 43, 46, 63, 65, 107, 130, 143, 146, 151, 184, 187, 196, 214, 227, 249, 257)
 # Worlds of `wires_before_a_wall` whose nets break the promise if the samples on them count as those on a solid body.
 WIRES = (10, 30, 55, 66)
 FINEST = 26  # sampling level of their truths, with at least 30 times the samples
@@ -63,22 +63,34 @@ def test_a_rod_along_the_rows_of_samples_keeps_the_promise():
     assert outcome.errors.are_within(0.05), outcome
 
 
-@pytest.mark.parametrize(
-    "world, seed",
-    [*((rods_before_a_wall, seed) for seed in MARGINAL), *((wires_before_a_wall, seed) for seed in WIRES)],
-)
-def test_marginal_worlds_keep_the_promise(world, seed):
+def over_the_promise(world, seed):
+    """Return the larger of the error over the tolerance and that of the worst body over its bound; None if not met."""
     scene, tolerance = world(seed)
     acoustics = sg.Acoustics.ideal()
     with sg.Simulator(scene, ROD_SONAR, acoustics, sampling_at(ROD_SONAR, FINEST)) as simulator:
         truth = simulator.ping(np.eye(4), labels=True)
     with sg.Simulator(scene, ROD_SONAR, acoustics, tolerance=tolerance) as simulator:
         ping = simulator.ping(np.eye(4), labels=True)
-        assert simulator.run.sampler.plan.met
-    assert ping_error(ping, truth) <= tolerance
+        if not simulator.run.sampler.plan.met:
+            return None
     counts = truth.body_echo[1:] > 1e-3 * truth.body_echo.sum()
     errors = np.abs(ping.body_echo[1:][counts] / truth.body_echo[1:][counts] - 1)
-    assert errors.max() <= 5 * tolerance
+    return max(ping_error(ping, truth), errors.max() / 5) / tolerance
+
+
+@pytest.mark.parametrize(
+    "world, seed",
+    [*((rods_before_a_wall, seed) for seed in MARGINAL), *((wires_before_a_wall, seed) for seed in WIRES)],
+)
+def test_marginal_worlds_keep_the_promise(world, seed):
+    assert over_the_promise(world, seed) <= 1
+
+
+def test_rods_before_a_wall_keep_the_promise_in_19_of_20_worlds():
+    """Worlds that nothing was tuned on; the hardest that are known, since a body of few samples decides."""
+    found = [over_the_promise(rods_before_a_wall, seed) for seed in range(2000, 2200)]
+    assert found.count(None) == 0
+    assert sum(one > 1 for one in found) <= 10
 
 
 def too_many(*_):
