@@ -172,10 +172,10 @@ class AdaptiveSampling:
         """
         drawn, total, choice = received.drawn, received.direct.total, self.choice
         setup, resolution = drawn.setup, drawn.resolution
-        is_to_judge = resolution.check or self.has_changed(total)
-        if resolution.is_final or not (is_to_judge or choice.next_level is not None):
+        has_changed = self.has_changed(total)
+        if resolution.is_final or not (resolution.check or has_changed or choice.next_level is not None):
             return None
-        if self.has_changed(total) and choice.plan.met:
+        if has_changed and choice.plan.met:
             choice = replace(choice, plan=self._unverified(choice))
         costs = self.history.costs
         is_first_echo = choice.last_check.total <= 0 < total and len(costs) < LOOP_PINGS
@@ -291,9 +291,8 @@ class AdaptiveSampling:
         drops_check = resolution.check and is_loop and not self._can_check(level, coverage, costs)
         self.history = self.history._replace(costs=(*costs[:-1], self._cost(level, coverage)))
         is_due = choice.is_due or is_coarser or drops_check
-        self.choice = replace(choice, level=level, coverage=coverage, is_due=is_due)
-        if is_coarser:
-            self.choice = replace(self.choice, next_level=None)
+        next_level = None if is_coarser else choice.next_level
+        self.choice = replace(choice, level=level, coverage=coverage, is_due=is_due, next_level=next_level)
         if is_coarser or drops_check:
             if is_coarser or choice.plan.met:
                 self.choice = replace(self.choice, plan=self._unverified(choice))
