@@ -12,7 +12,7 @@ from sonar_gl.sonar.sampling import ERROR_RATE
 
 ERROR_FACTOR = 1.4  # of the error that the difference shows: 19 of 20 lie below
 # Errors in few bins, as of the outlines before a single beam, do not average out: their difference may be small by
-# chance. With FEW_FACTOR half as many of them exceed the estimate, still more than one of 20 (docs/trials.md).
+# chance. With FEW_FACTOR half as many of them exceed the estimate, in random worlds one of 10 to 30 (docs/trials.md).
 FEW_BINS, FEW_FACTOR = 16.0, 1.35
 
 
