@@ -16,7 +16,9 @@ from sonar_gl.scene.scene import Body, Scene
 MIN_AREA_M2, MIN_AREA_SHARE = 0.5, 0.02
 MAX_FACES = 50_000  # larger meshes are taken for terrain, which is not flat
 MAX_PLANES = 6  # of a body; the largest are taken
-COPLANAR = 1e-4  # metres, and radians, by which faces of one plane may differ
+# Radians, and share of half the size of the mesh, by which faces of one plane may differ. On a mesh of 400 m steps of
+# 2 cm are one plane, too.
+COPLANAR = 1e-4
 DEFAULT_ROUGHNESS_M = 1e-3  # assumed rms height of bodies that have neither a material nor a specular lobe
 N_SINES = 257  # reflection coefficients are tabulated by the sine of the grazing angle
 
@@ -98,7 +100,7 @@ def find_planes(surface, least_m2: float = MIN_AREA_M2) -> list[tuple[np.ndarray
     normals, area, a = normals[valid] / (2 * area[valid, None]), area[valid], a[valid]
     offsets, out = (normals * a).sum(axis=1), []
     enough_m2 = max(least_m2, MIN_AREA_SHARE * area.sum())
-    tolerance_m = COPLANAR * (1 + np.abs(a).max(initial=0.0))
+    tolerance_m = COPLANAR * np.abs(vertices - middle).max()  # relative, since the body may be scaled
     # The largest face need not lie in the largest plane, as where a wall is meshed finely. Cells twice as wide as the
     # tolerances part a plane among 16 of them at most, so that one of these has this share of its area.
     cells = np.rint(np.column_stack([normals / COPLANAR, offsets / tolerance_m]) / 2).astype(np.int64)

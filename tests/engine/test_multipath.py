@@ -648,6 +648,20 @@ def test_parallel_planes_are_apart_and_parts_of_one_plane_are_not():
         np.testing.assert_allclose([offset for _, offset, _ in planes], expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_planes_of_a_scaled_mesh_are_those_of_the_mesh(unit):
+    """A body's pose may scale its mesh: in kilometres, treads 5 cm apart were one plane."""
+    treads = [trimesh.creation.box((1.0, 1.5, 0.3)).apply_translation((k, 0, 0.05 * k)) for k in range(3)]
+    mesh = trimesh.util.concatenate(treads).apply_transform(random_rotation(np.random.default_rng(3)))
+    planes = {one: find_planes(mesh.copy().apply_scale(one), least_m2=0.0) for one in (1.0, unit)}
+    assert [area_m2 for _, _, area_m2 in planes[1.0]] == pytest.approx(6 * [1.5])
+    expected, found = (
+        sorted((*normal.round(6), offset / one, area / one**2) for normal, offset, area in planes[one])
+        for one in planes
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)  # float64
+
+
 def test_planes_of_a_mesh_in_utm_are_those_at_the_origin():
     """Two walls that face one way were one plane, since the tolerance grew with the distance from the origin."""
     away = np.array([500_000.0, 4_500_000.0, -30.0])
