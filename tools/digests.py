@@ -615,6 +615,10 @@ MOVED = [
     None if k == 2 else {"ball": sg.pose(6, 2 - 0.5 * k, -1.5), "faces": None if k % 2 else POSE @ sg.pose(8)}
     for k in range(len(PATH))
 ]
+SCALED = {
+    "ball": sg.pose(6, 2, -1.5) @ np.diag([1.5, 1.5, 1.5, 1.0]),
+    "wall": sg.pose(13, -2, -1, yaw=0.3) @ np.diag([0.6, 0.6, 0.6, 1.0]),
+}
 EMBEDDED = {
     "current": joined,
     "current, labels": partial(joined, **LABELS),
@@ -714,6 +718,9 @@ def cases() -> Iterator[tuple[str, Callable]]:
     mu, water = {"ball": 0.1, "map": 0.5, "floor": 0.9}, sg.Water(temperature_c=20.0, salinity_psu=5.0)
     tvg = sg.Acoustics.physical(tvg_absorption_db_m=0.3)
     yield "this ping/bodies", partial(one, bodies=MOVED[1], **LABELS)
+    yield "this ping/scales", partial(one, bodies=SCALED, **LABELS)
+    mirrored = sg.Acoustics.physical(multipath="incoherent")
+    yield "this ping/scales, multipath", partial(one, acoustics=mirrored, bodies=SCALED)
     yield "this ping/reflectivity", partial(one, reflectivity=mu, **LABELS)
     yield "this ping/water", partial(one, acoustics=tvg, water=water, noise=NOISES["physical"])
     yield "world/place and add", changed
