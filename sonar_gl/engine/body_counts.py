@@ -25,6 +25,7 @@ class BodyCounts(NamedTuple):
         as a sample take too much or too little of what is thin and upright, in all rows alike
     strands : how many runs of neighbouring samples on it there are, along rows or across them, whichever are fewer;
         0 in sectors where these are long, or all lie along one line
+    runs : how many runs of neighbouring samples on it there are along rows
     """
 
     samples: np.ndarray
@@ -32,6 +33,7 @@ class BodyCounts(NamedTuple):
     of_strips: np.ndarray
     unevenness: np.ndarray
     strands: np.ndarray
+    runs: np.ndarray
 
 
 def count_bodies(
@@ -51,16 +53,16 @@ def count_bodies(
     if is_counted is None:
         is_counted = np.ones(n, bool)
     elif not is_counted.any():
-        return BodyCounts(*np.zeros((5, n)))
+        return BodyCounts(*np.zeros((6, n)))
     samples = CountedSamples(view.plane_echo, view.body_id, view.table, is_counted, every)
     weights = EchoWeights(
         float(sonar.range_min_m), 1.0 / sonar.bin_size_m, reception.gain, reception.elevation_table
     )
-    totals = BodyTotals(*np.zeros((6, n)))
+    totals = BodyTotals(*np.zeros((7, n)))
     count_samples(tuple(samples), tuple(reception.parts), tuple(weights), tuple(totals))
     # half the mean square of the differences of two is their variance; stripes show across them alone
     unevenness = np.sqrt(np.maximum(totals.along, totals.across) / 2)
-    return BodyCounts(totals.counts, totals.echo, totals.of_strips, unevenness, totals.strands)
+    return BodyCounts(totals.counts, totals.echo, totals.of_strips, unevenness, totals.strands, totals.runs)
 
 
 def body_error(samples, strands=0.0):

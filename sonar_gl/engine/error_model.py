@@ -222,8 +222,11 @@ class ErrorModel:
         counts : of `_counting_bodies`
         is_compared : likewise, which bodies are to be compared with `before`
         """
-        hits, echo, of_strips, unevenness, strands = tried.counts
-        factor = DIFFERENCE_FACTOR * share_of_difference(coarser, BODY_ERROR_RATE)
+        hits, echo, of_strips, unevenness, strands, runs = tried.counts
+        # Rows that run along a thin rod meet it in few runs, and all alike; those of the coarser samples cross it. Then
+        # the error is all of the difference.
+        runs_along = 2 * runs < before.counts.runs
+        factor = DIFFERENCE_FACTOR * np.where(runs_along, 1.0, share_of_difference(coarser, BODY_ERROR_RATE))
         # Of the less of both: samples along a thin rod take too much of it, and would understate by how much.
         less = np.minimum(echo, before.counts.echo)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(less, 1e-30)

@@ -57,9 +57,10 @@ def test_estimates_bound_errors(outcomes):
     assert all(o.error_estimate <= o.tolerance for o in outcomes if o.met)
 
 
-def test_a_rod_along_the_rows_of_samples_keeps_the_promise():
-    """It erred by 0.40: the finer lattice met it along all of its length, with rows higher than it is thick."""
-    outcome = promise.try_plan(promise.World(7000, truth_error=0.5), 0.05)
+@pytest.mark.parametrize("seed", [7000, 8110])
+def test_a_rod_along_the_rows_of_samples_keeps_the_promise(seed):
+    """They erred by 0.40 and 0.37: the finer lattice met them along all of their length, by rows higher than these."""
+    outcome = promise.try_plan(promise.World(seed, truth_error=0.5), 0.05)
     assert outcome.errors.are_within(0.05), outcome
 
 

@@ -64,15 +64,16 @@ def test_samples_are_counted_in_the_fan_and_the_aperture_alone():
 
 
 @pytest.mark.parametrize(
-    "is_met, strands",
+    "is_met, strands, runs",
     [
-        (lambda i, j: (i < 20) & (j < 12), 0),
-        (lambda i, j: (i < 30) & (j < 20) & ((i + 2 * j) % 5 == 0), 120),
-        (lambda i, j: (i < 40) & (j < 40) & (i == j), 0),
+        (lambda i, j: (i < 20) & (j < 12), 0, 12),
+        (lambda i, j: (i < 30) & (j < 20) & ((i + 2 * j) % 5 == 0), 120, 120),
+        (lambda i, j: (i < 40) & (j < 40) & (i == j), 0, 40),
+        (lambda i, j: (i < 40) & (j == i // 20), 0, 2),
     ],
-    ids=["box", "net", "wire"],
+    ids=["box", "net", "wire", "wire along rows"],
 )
-def test_strands_are_the_runs_of_samples_on_a_body_of_many_thin_parts(is_met, strands):
+def test_strands_are_the_runs_of_samples_on_a_body_of_many_thin_parts(is_met, strands, runs):
     fan = make_fan(SONAR, sg.Sampling(2, 60), BeamShape(0.0))
     (sector,) = fan.sectors
     j, i = np.indices((sector.rows, sector.columns))
@@ -80,6 +81,7 @@ def test_strands_are_the_runs_of_samples_on_a_body_of_many_thin_parts(is_met, st
     found = counts_of(fan, [sphere_samples(sector, is_on, is_on)])
     assert found.samples[1] == is_on.sum()
     assert found.strands.tolist() == [0, strands]
+    assert found.runs.tolist() == [0, runs]
 
 
 @pytest.mark.parametrize(

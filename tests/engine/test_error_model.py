@@ -331,30 +331,43 @@ class TestBodiesThatSamplesMiss:
         assert abs(ping.body_echo[2] / truth - 1) < self.LIMIT
 
 
-# samples, unevenness and strands on a body of echo 1, its echo before and as strips take it, and the error that follows
+# samples, unevenness and strands on a body of echo 1, its echo before and as strips take it, how many runs along rows,
+# where the coarser samples have 40, and the error that follows
 MANY = 900
 BY_NUMBER = 1.8 * (1 + 8 / MANY) / MANY**0.75  # of 900 samples
 SHOWN = 1.37 / math.sqrt(1 + 2**1.5)  # of a difference from half the samples
 JUDGED = {
-    "by the number of samples": (MANY, 0.0, 0.0, 1.0, 1.0, BY_NUMBER),
-    "by few samples": (40, 0.0, 0.0, 1.0, 1.0, 1.8 * 1.2 / 40**0.75),
-    "by the difference": (MANY, 0.0, 0.0, 0.9, 1.0, 0.1 / 0.9 * SHOWN),
-    "by the difference, as well as it may": (MANY, 0.0, 0.0, 0.864, 1.0, 0.136 / 0.864 * SHOWN),
-    "by the difference the other way": (MANY, 0.0, 0.0, 1.2, 1.0, 0.2 * SHOWN),
-    "of so many samples the difference tells nothing": (1000, 0.0, 0.0, 0.5, 1.0, 1.8 * 1.008 / 1000**0.75),
-    "by uneven samples": (MANY, 0.05, 0.0, 1.0, 1.0, 0.075),
-    "by strands": (MANY, 0.0, 120.0, 1.0, 1.0, 2 * BY_NUMBER),
-    "by strips": (MANY, 0.0, 0.0, 1.0, 0.93, math.hypot(0.07, BY_NUMBER)),
-    "by strips that take too much": (MANY, 0.0, 0.0, 0.9, 1.05, math.hypot(0.05, 0.1 / 0.9 * SHOWN)),
-    "at most all": (MANY, 0.0, 0.0, 9.0, 1.0, 1.0),
+    "by the number of samples": (MANY, 0.0, 0.0, 1.0, 1.0, 57, BY_NUMBER),
+    "by few samples": (40, 0.0, 0.0, 1.0, 1.0, 57, 1.8 * 1.2 / 40**0.75),
+    "by the difference": (MANY, 0.0, 0.0, 0.9, 1.0, 57, 0.1 / 0.9 * SHOWN),
+    "by the difference, as well as it may": (MANY, 0.0, 0.0, 0.864, 1.0, 57, 0.136 / 0.864 * SHOWN),
+    "by the difference the other way": (MANY, 0.0, 0.0, 1.2, 1.0, 57, 0.2 * SHOWN),
+    "by all of the difference from samples that cross it": (MANY, 0.0, 0.0, 0.9, 1.0, 19, 1.37 * 0.1 / 0.9),
+    "by half as many runs as any difference": (MANY, 0.0, 0.0, 0.9, 1.0, 20, 0.1 / 0.9 * SHOWN),
+    "of so many samples the difference tells nothing": (
+        1000,
+        0.0,
+        0.0,
+        0.5,
+        1.0,
+        57,
+        1.8 * 1.008 / 1000**0.75,
+    ),
+    "by uneven samples": (MANY, 0.05, 0.0, 1.0, 1.0, 57, 0.075),
+    "by strands": (MANY, 0.0, 120.0, 1.0, 1.0, 57, 2 * BY_NUMBER),
+    "by strips": (MANY, 0.0, 0.0, 1.0, 0.93, 57, math.hypot(0.07, BY_NUMBER)),
+    "by strips that take too much": (MANY, 0.0, 0.0, 0.9, 1.05, 57, math.hypot(0.05, 0.1 / 0.9 * SHOWN)),
+    "at most all": (MANY, 0.0, 0.0, 9.0, 1.0, 57, 1.0),
 }
 
 
 @pytest.mark.parametrize(
-    ("samples", "unevenness", "strands", "before", "taken", "error"), JUDGED.values(), ids=list(JUDGED)
+    ("samples", "unevenness", "strands", "before", "taken", "runs", "error"),
+    JUDGED.values(),
+    ids=list(JUDGED),
 )
 def test_the_error_of_a_body_is_judged_by_what_its_samples_show(
-    samples, unevenness, strands, before, taken, error
+    samples, unevenness, strands, before, taken, runs, error
 ):
     """As stated in numbers; a third body returns too little to count, whatever it errs."""
     level, tolerance = 12, 0.02
@@ -371,8 +384,11 @@ def test_the_error_of_a_body_is_judged_by_what_its_samples_show(
             of_strips=np.array([0.0, 5.0, taken, 0.0029]),
             unevenness=np.array([0, 0, unevenness, 0.0]),
             strands=np.array([0, 0, strands, 0.0]),
+            runs=np.array([0, 100.0, runs, 3.0]),
         )
-        of_coarse = of_fine._replace(echo=np.array([0.0, 5.0, before, 0.01]))
+        of_coarse = of_fine._replace(
+            echo=np.array([0.0, 5.0, before, 0.01]), runs=np.array([0, 70.0, 40.0, 2.0])
+        )
         echo = np.zeros_like(fine.echo.intensity)
         echo[3, 5:9] = 1.0
         other = echo.copy()
@@ -407,7 +423,7 @@ def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
     made, box = trimesh.creation, trimesh.creation.box((1, 1, 1))
     ball = sg.Body("ball", made.icosphere(4, 0.5), sg.pose(5, 1), 0.1, specular=0.5, roughness_rad=0.1)
     bodies = [ball, sg.Body("striped", box, sg.pose(5, -1), np.linspace(0.1, 0.9, 12))]
-    met = BodyCounts(*(np.arange(1.0, 21.0).reshape(5, 4)))
+    met = BodyCounts(*(np.arange(1.0, 25.0).reshape(6, 4)))
     monkeypatch.setattr(error_model, "count_bodies", lambda *arguments: met)
     with sg.Simulator(sg.Scene(bodies), SONAR, replace(IDEAL, specular=True), tolerance=0.02) as simulator:
         run = simulator.run
@@ -417,7 +433,7 @@ def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
         with run.drawing():
             shown = model.draw(setup, 8)
             louder = model.draw(replace(setup, gain=2 * setup.gain), 8)
-            silent = shown._replace(counts=BodyCounts(*np.zeros((5, 4)))._replace(samples=np.full(4, 1e3)))
+            silent = shown._replace(counts=BodyCounts(*np.zeros((6, 4)))._replace(samples=np.full(4, 1e3)))
             judged = model.judge(setup, 8, silent, silent)
     share = np.array([1.0, glint_share(ball.surface, 0.1), 1.0, 1.0])
     assert share[1] < 0.2
@@ -427,6 +443,7 @@ def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
         met.of_strips,
         met.unevenness * [0, 0, 1, 0],
         met.strands * share,
+        met.runs,
     )
     np.testing.assert_array_equal(shown.counts, expected)
     assert louder.echo.total == pytest.approx(2 * shown.echo.total, rel=1e-5)
@@ -469,7 +486,7 @@ def worst_beside_near(other, samples, share, acoustics=IDEAL, **request):
         with run.drawing():
             view = model.draw(setup, 8)
             zeros, of_near, of_both = np.zeros(3), np.array([0, 0.01, 0]), 0.01 * np.array([0, 1, share])
-            met = BodyCounts(np.array([0, 1e6, samples]), of_both, of_both, zeros, zeros)
+            met = BodyCounts(np.array([0, 1e6, samples]), of_both, of_both, zeros, zeros, zeros)
             before = view._replace(counts=met._replace(echo=of_near))
             return model.judge(setup, 8, view._replace(counts=met), before).plan.worst_body
 

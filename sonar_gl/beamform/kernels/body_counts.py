@@ -79,6 +79,7 @@ class BodyTotals(NamedTuple):
     of_strips : the echo as the strips take it
     along, across : squared differences of neighbours on one body, along rows and across
     strands : how many runs of neighbours there are, in sectors where these are short and spread in two directions
+    runs : how many runs of neighbours there are along rows
     """
 
     counts: np.ndarray
@@ -87,6 +88,7 @@ class BodyTotals(NamedTuple):
     along: np.ndarray
     across: np.ndarray
     strands: np.ndarray
+    runs: np.ndarray
 
 
 class SampleRow(NamedTuple):
@@ -227,7 +229,7 @@ def _find_bodies(image, j, lattice, parts, s, weights, of_strips, row):
 @inlined
 def _add_runs(j, columns, totals, sums, row):
     """Add each run of samples of row j on one body to the totals, and to `sums`."""
-    counts, echo, of_strips, along, across, _ = totals
+    counts, echo, of_strips, along, across, _, runs = totals
     mine, share, bodies, over, body_over = row.echo, row.share, row.body, row.echo_over, row.body_over
     i, past = uint64(0), uint64(columns)
     while i < past:
@@ -247,7 +249,7 @@ def _add_runs(j, columns, totals, sums, row):
             sum_i, sum_ii = sum_i + np.int64(i), sum_ii + np.int64(i * i)
             i += uint64(1)
         n = np.int64(i - first)
-        counts[body] += n
+        counts[body], runs[body] = counts[body] + n, runs[body] + 1
         echo[body], of_strips[body] = echo[body] + returned, of_strips[body] + taken
         along[body], across[body] = along[body] + beside2, across[body] + over2
         sums[body, N] += n
