@@ -43,6 +43,7 @@ POOL_TOLERANCES = (0.05, 0.01)
 ROUNDS = 4
 TRUTH_ERROR = 0.03
 MOST_SAMPLES = 3_500_000  # of the truth of a pool
+LEAST_REFLECTED = 0.001  # of the echo: with it as the tolerance a truth leaves out no reflector that returns more
 MOST_RAYS = 60_000_000  # of a truth; more would change the verdict on the smallest bodies only
 
 
@@ -214,7 +215,8 @@ def find_truth(what: tuple, pose: np.ndarray, finest: sg.Sampling) -> tuple[sg.P
     while finer > 1:
         many = sg.Sampling(finer * finest.columns_per_beam, round(finer * finest.rows))
         finer /= 2**0.5
-        with contextlib.suppress(SampleLimitError), sg.Simulator(scene, sonar, acoustics, many) as simulator:
+        truthful = scene, sonar, acoustics, many, LEAST_REFLECTED
+        with contextlib.suppress(SampleLimitError), sg.Simulator(*truthful) as simulator:
             truth = internals.ping_with_all_samples(simulator, pose)
             without = replace(acoustics, multipath="none")
             with sg.Simulator(simulator, sonar, without, many) as direct:
