@@ -43,7 +43,7 @@ POOL_TOLERANCES = (0.05, 0.01)
 ROUNDS = 4
 TRUTH_ERROR = 0.03
 MOST_SAMPLES = 3_500_000  # of the truth of a pool
-LEAST_REFLECTED = 0.001  # of the echo: with it as the tolerance a truth leaves out no reflector that returns more
+LEAST_REFLECTED = 0.001  # of the echo: the truth of a pool leaves out no reflector that returns more
 MOST_RAYS = 60_000_000  # of a truth; more would change the verdict on the smallest bodies only
 
 
