@@ -105,6 +105,34 @@ def test_without_bodies_ahead_nothing_is_drawn():
     assert len(samples) == n_outside == share == 0
 
 
+def test_what_lies_between_samples_is_left_out_as_a_whole_or_face_by_face():
+    """A face far above each body, and one far below, make its box so high that none lies between samples."""
+    rng, corners = np.random.default_rng(0), []
+    for _ in range(300):
+        size = rng.uniform(
+            -0.15, 0.15, 3
+        )  # with the opposite corner, so that the middle of the box is the origin
+        corners.append([size, -size, rng.uniform(-1, 1, 3) * size])
+    wing = 1e-3 * np.array([[-1, 0, 0], [1, 0, 0], [0, 1, 0]])
+    places = [sg.pose(*rng.uniform((3, -6, -2), (16, 6, 2))) for _ in corners]
+    views = []
+    for has_wings in (False, True):
+        bodies = []
+        for k, (triangle, place) in enumerate(zip(corners, places, strict=True)):
+            wings = [wing + [0, 0, 40], wing * [1, -1, 1] - [0, 0, 40]] if has_wings else []
+            points = np.concatenate([triangle, *wings])
+            faces = np.arange(len(points)).reshape(-1, 3)
+            bodies.append(sg.Body(str(k), trimesh.Trimesh(points, faces, process=False), place))
+        samples, _, n_outside, _ = draw_window(
+            sg.Scene(bodies), sg.load_sonar("p900-45"), np.eye(4), sg.Sampling(0.4, 24)
+        )
+        views.append(samples)
+        assert n_outside == 0
+    met = [view[view[:, 0] > 0] for view in views]
+    assert np.array_equal(*met)
+    assert 20 < len(met[0]) < 200  # most bodies lie between samples
+
+
 @pytest.mark.parametrize("engine", ["cpu", "opengl"])
 def test_a_view_is_summed_as_its_sectors_are(engine):
     """In one call, to the bit; the engine that knows leaves out sectors in which nothing is."""

@@ -26,6 +26,9 @@ BODY_STEP = 0x9E3779B1  # odd, and far from small multiples of 2^31
 THINNEST = 1e-4
 HALF_STEP = 0.5 / GRID**2  # of what tells on which side of an edge between corners on the grid a sample lies
 NO_FORM = (0.0, 0.0, 0.0)  # of a triangle that is not seen
+# What lies between two samples is further from both than its corners are rounded: half a step of GRID, and what float32
+# rounds of vertices.
+BETWEEN = 1 / 32
 ON_EDGE = 1e-6  # of a sample: rounding of the ends of rows where corners are not on the grid
 
 
@@ -225,20 +228,43 @@ def _place(view, matrix, m, p):
 
 
 @inlined
-def _is_outside(box, p, window):
-    """Return whether a box lies beside the window; p : (3, 4) of `_place`."""
-    outside = False
-    for side in range(4):
-        axis, far = side >> 1, (side & 1) == 1
-        edge = window[side] + 1.0 if far else window[side] - 1.0
-        at, reach = 0.0, 0.0
-        for k in range(4):  # of (column - edge) x, or its negative, which is positive in the window
-            g = p[axis, k] - edge * p[2, k]
-            g = -g if far else g
-            at += g * box[k] if k < 3 else g
-            reach += abs(g) * box[3 + k] if k < 3 else 0.0
-        outside |= at + reach < 0.0
-    return outside
+def _is_below(box, p, axis, edge, side):
+    """Return whether all of a box lies at lower columns than an edge, or rows; at higher ones if `side` is −1.
+
+    What lies behind the sonar counts the other way round.
+
+    p : (3, 4) of `_place`; axis : 0 for columns, 1 for rows
+    """
+    at, reach = 0.0, 0.0
+    for k in range(4):  # of (column - edge) x
+        g = side * (p[axis, k] - edge * p[2, k])
+        at += g * box[k] if k < 3 else g
+        reach += abs(g) * box[3 + k] if k < 3 else 0.0
+    return at + reach < 0.0
+
+
+@inlined
+def _meets_no_sample(box, p, window):
+    """Return whether a box lies beside the window, or between two columns or two rows; p : (3, 4) of `_place`.
+
+    Between samples lie whole bodies in the coarse sectors of the side lobes: to project them would take as long as in
+    the dense ones.
+    """
+    is_beside = False
+    for end in range(4):
+        side = -1.0 if (end & 1) == 1 else 1.0
+        is_beside |= _is_below(box, p, end >> 1, window[end] - side, side)
+    if is_beside:
+        return True
+    depth = p[2, 0] * box[0] + p[2, 1] * box[1] + p[2, 2] * box[2] + p[2, 3]
+    is_between = False
+    for axis in range(2):
+        # of what is behind the sonar only one of both is true
+        at = p[axis, 0] * box[0] + p[axis, 1] * box[1] + p[axis, 2] * box[2] + p[axis, 3]
+        below = np.floor(at / depth)
+        is_above = _is_below(box, p, axis, below + BETWEEN, -1.0)
+        is_between |= is_above and _is_below(box, p, axis, below + 1.0 - BETWEEN, 1.0)
+    return is_between
 
 
 @inlined
@@ -503,7 +529,7 @@ def rasterize(chosen, patches, vertices, placed, view, window, limits, buffer, t
         if body != last:
             last = body
             _place(view, matrices[body], m, p)
-        if _is_outside(boxes[patch], p, window):
+        if _meets_no_sample(boxes[patch], p, window):
             continue
         start = first_vertex[patch]
         nearest, furthest = _project(points, start, n_vertices[patch], p, scratch)
