@@ -15,6 +15,7 @@ from sonar_gl.beamform.kernels import work_table
 from sonar_gl.beamform.kernels.footprints import keep_within
 from sonar_gl.beamform.kernels.moments import asin, atan
 from sonar_gl.beamform.kernels.range_bins import bin_table
+from sonar_gl.beamform.kernels.runs import BODY, COLUMN, Runs, sort_runs
 from sonar_gl.beamform.labels import BEYOND_BODY, label_columns
 from sonar_gl.beamform.weights import beam_weights
 from sonar_gl.embed.sensor import Sensor
@@ -877,3 +878,29 @@ def test_few_beams_and_bins(n_beams, n_bins):
     np.testing.assert_array_equal(found.body_id > 0, found.intensity > 0)
     np.testing.assert_allclose(found.body_echo.sum(), found.intensity.sum(dtype=float), rtol=1e-5)
     assert np.isfinite(found.true_range_m[found.body_id > 0]).all()
+
+
+def test_runs_are_sorted_by_body_and_column_and_columns_share_those_of_wide_ones():
+    rng, n_columns = np.random.default_rng(0), 6
+    wide_edges, wide_shares = np.array([1, 3, 6]), np.float32([0, 0.4, 0.6, 0.2, 0.3, 0.5])
+    stores, expected = [], []
+    for half, n in enumerate((40, 25)):
+        runs = np.column_stack(
+            [rng.integers(0, 9, n), rng.integers(0, n_columns + 2, n), rng.integers(0, 99, (n, 3))]
+        )
+        runs[:, BODY] *= 2  # some numbers are of no body
+        stores.append((np.vstack([runs, runs[:1]]), n, np.empty(0, np.float32), 0))
+        for run in runs:
+            wide = run[COLUMN] - n_columns
+            columns = [run[COLUMN]] if wide < 0 else range(*wide_edges[wide : wide + 2])
+            expected += [
+                (run[BODY], column, *run[2:], half, 1 if wide < 0 else wide_shares[column])
+                for column in columns
+            ]
+    expected.sort(key=lambda run: run[:2])  # those of one body and column stay in their order
+    found = Runs(*sort_runs(tuple(stores), n_columns, wide_edges, wide_shares))
+    rows = np.column_stack([found.table, found.owner, found.share])
+    assert np.array_equal(rows, np.array(expected))
+    assert np.array_equal(found.bodies, np.unique(found.table[:, BODY]))
+    numbers = np.repeat(found.bodies, np.diff(found.begins))
+    assert found.begins[0] == 0 and np.array_equal(numbers, found.table[:, BODY])

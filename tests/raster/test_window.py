@@ -119,7 +119,8 @@ def test_what_lies_between_samples_is_left_out_as_a_whole_or_face_by_face():
     for has_wings in (False, True):
         bodies = []
         for k, (triangle, place) in enumerate(zip(corners, places, strict=True)):
-            wings = [wing + [0, 0, 40], wing * [1, -1, 1] - [0, 0, 40]] if has_wings else []
+            up = np.array([0, 0, 40])
+            wings = [wing + up, wing * [1, -1, 1] - up] if has_wings else []
             points = np.concatenate([triangle, *wings])
             faces = np.arange(len(points)).reshape(-1, 3)
             bodies.append(sg.Body(str(k), trimesh.Trimesh(points, faces, process=False), place))

@@ -51,20 +51,61 @@ def sort_runs(stores, n_columns: int, wide_edges: np.ndarray, wide_shares: np.nd
     """
     first, second = (RunStore(*one) for one in stores)
     runs = np.concatenate([first.runs[: first.n_runs], second.runs[: second.n_runs]])
-    # wide columns, or the last entry of a table for others, which are one column
-    wide = np.maximum(runs[:, COLUMN] - n_columns, -1)
-    begins = np.where(wide < 0, runs[:, COLUMN], wide_edges[wide])
-    widths = np.append(np.diff(wide_edges), 1)[wide]
-    number = np.repeat(np.arange(len(runs)), widths)
-    column = begins[number] + np.arange(len(number)) - np.repeat(np.cumsum(widths) - widths, widths)
-    order = np.lexsort((column, runs[number, BODY]))  # runs of one body and column stay in their order
-    number, column = number[order], column[order]
-    table = runs[number]
-    table[:, COLUMN] = column
-    bodies, begins = np.unique(table[:, BODY], return_index=True)
-    share = np.where(wide[number] < 0, np.float32(1), wide_shares[column])
-    owner = (number >= first.n_runs).astype(np.int64)
-    return bodies, np.append(begins, len(table)), table, owner, share, (first.pool, second.pool)
+    most = len(runs) * int(np.diff(wide_edges).max(initial=1))
+    bodies, begins = np.empty(most, np.int64), np.empty(most + 1, np.int64)
+    table, owner, share = (
+        np.empty((most, RUN), np.int64),
+        np.empty(most, np.int64),
+        np.empty(most, np.float32),
+    )
+    wide = n_columns, wide_edges, wide_shares
+    n, n_bodies = _sort_runs(runs, first.n_runs, *wide, bodies, begins, table, owner, share)
+    sorted_ = bodies[:n_bodies], begins[: n_bodies + 1], table[:n], owner[:n], share[:n]
+    return *sorted_, (first.pool, second.pool)
+
+
+@compiled
+def _sort_runs(runs, n_first, n_columns, wide_edges, wide_shares, bodies, begins, table, owner, share):
+    """Fill the arrays of Runs, which may be longer, by counting; return how many runs and bodies there are.
+
+    runs : (n, RUN) of both halves; n_first : how many are of the first
+    """
+    # chains of each column's runs, laid from the last one on, so that runs of one body and column stay in their order
+    chain, following, run_of = (
+        np.full(n_columns, -1),
+        np.empty(len(owner), np.int64),
+        np.empty(len(owner), np.int64),
+    )
+    highest, n, n_bodies = 0, 0, 0
+    for i in range(len(runs)):
+        highest = max(highest, runs[i, BODY])
+    places = np.zeros(highest + 2, np.int64)
+    for i in range(len(runs) - 1, -1, -1):
+        begin, end = runs[i, COLUMN], runs[i, COLUMN] + 1
+        if begin >= n_columns:
+            begin, end = wide_edges[begin - n_columns], wide_edges[end - n_columns]
+        places[runs[i, BODY] + 1] += end - begin
+        for column in range(begin, end):
+            following[n], run_of[n], chain[column] = chain[column], i, n
+            n += 1
+    for body in range(highest + 1):
+        if places[body + 1] > 0:
+            bodies[n_bodies], begins[n_bodies] = body, places[body]
+            n_bodies += 1
+        places[body + 1] += places[body]
+    begins[n_bodies] = n
+    for column in range(n_columns):
+        entry = chain[column]
+        while entry >= 0:
+            i = run_of[entry]
+            at = places[runs[i, BODY]]
+            places[runs[i, BODY]] += 1
+            for k in range(RUN):
+                table[at, k] = runs[i, k]
+            table[at, COLUMN], owner[at] = column, int(i >= n_first)
+            share[at] = wide_shares[column] if runs[i, COLUMN] >= n_columns else np.float32(1.0)
+            entry = following[entry]
+    return n, n_bodies
 
 
 @compiled

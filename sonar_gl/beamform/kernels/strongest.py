@@ -192,7 +192,7 @@ def _make_panel(runs, n_columns, origin, end, n_bins):
             counts[block] += 1
     most = counts.max() * ((end - 1) // n_columns - origin // n_columns + 1)
     begins = np.zeros(runs.bodies.shape[0] + 1, np.int64)
-    return Panel(begins, np.empty(most, np.int64), np.zeros((most + 3) * TILE_ROW, np.float32))
+    return Panel(begins, np.empty(most, np.int64), np.empty((most + 3) * TILE_ROW, np.float32))
 
 
 @inlined
@@ -229,6 +229,8 @@ def _pack_panel(panel, runs, k0, columns):
                         for k in range(high - low):
                             moments[to + k] += share * pool[from_ + k]
     panel.begins[runs.bodies.shape[0]] = n_packed
+    for k in range(uint64(n_packed * TILE_ROW), uint64((n_packed + 3) * TILE_ROW)):
+        moments[k] = 0.0
 
 
 @inlined
