@@ -18,7 +18,7 @@ from sonar_gl.beamform.kernels.runs import sort_runs, sum_body_echo
 from sonar_gl.beamform.kernels.strongest import PingEcho, StrongestEcho, find_strongest
 from sonar_gl.beamform.weights import BeamWeights
 from sonar_gl.beamform.workspace import ColumnSums, Workspace
-from sonar_gl.core.compiled import compiled
+from sonar_gl.core.compiled import compiled, rounded_alike
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.samples import ViewSamples, whole_rows
 
@@ -80,11 +80,20 @@ def bins_of_bodies(body_spans: np.ndarray, bin_edges_m: np.ndarray) -> np.ndarra
     >>> bins_of_bodies(np.array([[0, 0], [1 / 3.05, 1 / 2.05], [0.1, np.inf]]), np.linspace(2, 4, 21)).tolist()
     [[20, 20], [0, 11], [0, 20]]
     """
-    n_bins = len(bin_edges_m) - 1
-    with np.errstate(divide="ignore"):
-        ends = (1 / body_spans[:, ::-1] - bin_edges_m[0]) * n_bins / (bin_edges_m[-1] - bin_edges_m[0])
-    first, past = np.floor(ends[:, 0] - BEYOND_BODY), np.ceil(ends[:, 1] + BEYOND_BODY)
-    return np.column_stack([first, past]).clip(0, n_bins).astype(np.int64)
+    out = np.empty((len(body_spans), 2), np.int64)
+    _find_bins_of_bodies(body_spans, bin_edges_m, out)
+    return out
+
+
+@rounded_alike
+def _find_bins_of_bodies(body_spans, bin_edges_m, out):
+    """Fill out with what `bins_of_bodies` returns: NumPy's steps take ten times as long for few bodies."""
+    n_bins, first_m, last_m = bin_edges_m.shape[0] - 1, bin_edges_m[0], bin_edges_m[-1]
+    for n in range(out.shape[0]):
+        first = (1 / body_spans[n, 1] - first_m) * n_bins / (last_m - first_m)
+        past = (1 / body_spans[n, 0] - first_m) * n_bins / (last_m - first_m)
+        out[n, 0] = min(max(np.floor(first - BEYOND_BODY), 0), n_bins)
+        out[n, 1] = min(max(np.ceil(past + BEYOND_BODY), 0), n_bins)
 
 
 def without_weaker(labels: Labels, direct: np.ndarray, other: np.ndarray) -> Labels:
