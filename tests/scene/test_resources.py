@@ -141,6 +141,19 @@ def test_all_that_is_missing_is_named_at_once(tmp_path, message_of):
     assert text == expected
 
 
+@pytest.mark.parametrize("place", ["worlds/models", "models", "."])
+def test_a_folder_of_models_beside_the_world_is_named(tmp_path, place):
+    """Most repositories have their models there, and Gazebo finds them by a variable that their README sets."""
+    folder = tmp_path / place
+    (folder / "rock").mkdir(parents=True)
+    (tmp_path / "worlds").mkdir(exist_ok=True)
+    path = write(tmp_path / "worlds/a.sdf", "<include><uri>model://rock</uri></include>")
+    with pytest.raises(Error) as caught:
+        read_sdf(path)
+    expected = f"    not at {path.parent / 'rock'}\n    but in {folder.resolve()}: give that folder as resource path\n"
+    assert expected in str(caught.value)
+
+
 def test_of_much_that_is_missing_the_first_is_explained(tmp_path, message_of):
     names = [f"model://m{k}" for k in range(30)]
     text = message_of("".join(f"<include><uri>{name}</uri></include>" for name in names))

@@ -90,7 +90,7 @@ class Resources:
         prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
         named += [Path(prefix, "share") for prefix in prefixes if prefix]
         roots += [root for root in named if not is_link_loop(root)]  # nor is a missing folder an error
-        folder = scene_path.parent.resolve()
+        self._folder = folder = scene_path.parent.resolve()
         own_package = [one for one in (folder, *folder.parents) if (one / PACKAGE_FILE).is_file()]
         self.roots = list(dict.fromkeys([*(root.resolve() for root in roots), folder, *own_package[:1]]))
         self._packages: dict[str, Path] | None = None
@@ -350,10 +350,23 @@ class Resources:
                 lines.append(
                     f"    give the folder that holds the ROS package {package[1]!r} as resource path"
                 )
+            elif near := self._model_folder_near(uri):
+                lines.append(f"    but in {near}: give that folder as resource path")
             elif not searched:
                 lines.append("    not fetched: download it, and let the scene name the file")
         lines += [f"  and {uri}" for uri in self.missing_uris()[MAX_EXPLAINED:]]
         return "\n".join(lines)
+
+    def _model_folder_near(self, uri: str) -> Path | None:
+        """Return the folder near the scene's file that holds a model, where repositories of worlds have models."""
+        found = re.match(r"model://([^/.][^/]*)", unquote(uri))
+        if found is None:
+            return None
+        here = self._folder
+        near = [
+            one for one in (here / "models", here.parent / "models", here.parent) if one not in self.roots
+        ]
+        return next((one for one in near if (one / found[1]).is_dir()), None)
 
     def missing_uris(self) -> list[str]:
         """Return the URIs of what is missing."""
