@@ -78,11 +78,11 @@ def _counts_from(options, preset: Sonar, free: tuple[str, ...], why: str) -> dic
     """Return the changes of --counts to a preset's law, or raise an Error that says why a field is not free."""
     if options.counts is None:
         return {}
-    _, changes = parse_fields("--counts", options.counts, Counts)
+    _, changes = parse_fields("counts", options.counts, Counts)
     for name in changes:
         if name in vars(DEFAULT_COUNTS) and name not in free:
             raise Error(f"--counts of this device may change {', '.join(free)} alone (got {name}; {why})")
-    preset.counts.parse_changes("--counts", options.counts)  # which raises Error for a wrong one
+    preset.counts.parse_changes(options.counts)  # which raises Error for a wrong one
     return changes
 
 

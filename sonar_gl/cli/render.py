@@ -129,7 +129,7 @@ def _check_combination(options, given: set[str]):
 
 def _with_counts(sonar: Sonar, options, style: FanStyle) -> Sonar:
     """Return the sonar with the law of --counts; raise an Error where pictures cannot hold the bits that it adds."""
-    law = sonar.counts.parse_changes("--counts", options.counts)
+    law = sonar.counts.parse_changes(options.counts)
     lacking = what_lacks_16_bits(style, options.formats)
     if law.bits > sonar.counts.bits and lacking is not None:
         raise Error(

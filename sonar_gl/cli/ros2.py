@@ -64,7 +64,7 @@ def ros2(scene_name: str, options, given: set[str]) -> str:
         warn_of_hull(scene)
     sonar = sonar_from(options, scene)
     if options.counts is not None:
-        sonar = replace(sonar, counts=sonar.counts.parse_changes("--counts", options.counts))
+        sonar = replace(sonar, counts=sonar.counts.parse_changes(options.counts))
     with contextlib.ExitStack() as stack:
         transports = []
         for kind in dict.fromkeys(options.transport):

@@ -79,7 +79,7 @@ def session_from(scene_name: str, options) -> LiveSession:
         height=options.height,
     )
     if options.counts is not None:
-        settings = settings.changed(counts=settings.law.parse_changes("--counts", options.counts))
+        settings = settings.changed(counts=settings.law.parse_changes(options.counts))
     track = None if times_s is None else PoseTrack(poses, times_s)
     load_viser()  # after the user's mistakes, and before pings
     if acoustics is None:

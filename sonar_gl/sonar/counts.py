@@ -22,7 +22,7 @@ from sonar_gl.core.checks import (
     make_numbers_plain,
     shown,
 )
-from sonar_gl.core.errors import Error, errors_at
+from sonar_gl.core.errors import Error
 from sonar_gl.core.key_values import parse_fields
 
 # fields that one law alone uses
@@ -128,15 +128,13 @@ class Counts:
                     raise Error(f"counts: {key} needs the law {law!r} (got the law {out.law!r})")
         return out
 
-    def parse_changes(self, option: str, text: str) -> Counts:
-        """Return this law with the changes of `key=value,...`, the text of an option; raises Error like `changed`.
+    def parse_changes(self, text: str) -> Counts:
+        """Return this law with the changes of `key=value,...`; raises Error like `changed`.
 
-        >>> Counts().parse_changes("--counts", "low_db=-50,gain_percentile=99").gain_percentile
+        >>> Counts().parse_changes("low_db=-50,gain_percentile=99").gain_percentile
         99.0
         """
-        _, values = parse_fields(option, text, Counts)
-        with errors_at(f"{option} {text!r}"):
-            return self.changed(values)
+        return self.changed(parse_fields("counts", text, Counts)[1])
 
     def settle(self, intensity: np.ndarray) -> Counts:
         """Return this law with the automatic gain of a ping as a fixed one; a law without automatic gain as it is.

@@ -92,7 +92,7 @@ def test_counts_change_what_programs_do_not_set(device, name, text, changes, mon
         ("oculus", "gain_db=20", "--counts of this device may change gain_percentile alone (got gain_db;"),
         ("ping360", "bits=16", "--counts of this device may change law, exponent, low_db, high_db alone"),
         ("oculus", "gain_percentile=200", "gain_percentile must lie in 0..100 (got 200)"),
-        ("ping360", "gamma=3", "--counts 'gamma=3': unknown name (got 'gamma'"),
+        ("ping360", "gamma=3", "counts 'gamma=3': unknown name (got 'gamma'"),
     ],
 )
 def test_counts_that_programs_set_are_refused(device, text, sentence):

@@ -863,7 +863,7 @@ def test_numbers_out_of_range():
     )
     assert refused("--seed", -1) == "seed must be a whole number, 0 or more (got -1)"
     assert refused("--counts", "exponent=0.3") == (
-        "--counts 'exponent=0.3': counts: exponent needs the law 'power' (got the law 'db')"
+        "counts: exponent needs the law 'power' (got the law 'db')"
     )
     assert "did you mean 'gain_db'" in refused("--counts", "gain_bd=3")
     assert refused("--db-range", "-50 0") == (
