@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -176,16 +177,19 @@ class DirectView(NamedTuple):
 
 
 class _FoundImage(NamedTuple):
-    """The sonar's image behind a reflector that may return an echo, still without samples.
+    """The sonar's image behind a reflector that may return an echo, still without samples; as of `ImageSource`."""
 
-    number : of the ping, among those that are drawn at once
-    reflector, plane, pose : of `ImageSource`
-    """
-
-    number: int
     reflector: PlanarReflector
     plane: np.ndarray
     pose: ImagePose
+
+
+class _DrawnImage(NamedTuple):
+    """An image with its samples, and how many of them met each body."""
+
+    found: _FoundImage
+    view: ViewSamples
+    counted: BodySamples
 
 
 class ImageSources:
@@ -239,67 +243,92 @@ class ImageSources:
         # bubbles would have to attenuate each leg by itself
         pings = [ping._replace(state=ping.state.without_bubbles()) for ping in pings]
         indices = [view_index(ping.view) for ping in pings]
-        found = [
-            _FoundImage(number, reflector, plane, image_pose(plane))
-            for number, (ping, index) in enumerate(zip(pings, indices, strict=True))
-            for reflector, plane in self._reflecting(ping, index, stage)
-        ]
+        found = [self._find_images(ping, index, stage) for ping, index in zip(pings, indices, strict=True)]
         out: list[ImageSourceSamples | None] = [None] * len(pings)
-        if not found:
+        numbers = [number for number, images in enumerate(found) if images]  # of pings that have any
+        if not numbers:
             return out
-        thinning, numbers = THINNINGS[halvings], sorted({one.number for one in found})
+        thinning = THINNINGS[halvings]
         own, image = self._stages_for(stage, thinning)
         own_views = self._own_views(own, thinning, [pings[number] for number in numbers])
         drawing = self._image_stages.stage(stage.sampling) if thinning.is_drawn_alike else image
-        image_views = drawing.draw(
-            [pings[one.number].pose @ one.pose.sonar_from_image for one in found],
-            [pings[one.number].state for one in found],
-            with_bodies=True,
-            planes=[one.pose.clip_plane for one in found],
-            keep_last=True,
+        drawn, direct = self._draw_images(
+            drawing,
+            [(pings[number], found[number]) for number in numbers],
+            stage if coarser is None else None,
         )
-        step, times_fewer = (thinning.rows, 1) if thinning.is_drawn_alike else (1, thinning.times_fewer)
-        counted = [
-            (drawing, view, pings[one.number].gain) for one, view in zip(found, image_views, strict=True)
-        ]
-        if coarser is None:
-            counted += [(stage, pings[number].view, pings[number].gain) for number in numbers]
-        counts = self._count_bodies(counted)
-        direct = [coarser.direct] if coarser is not None else counts[len(found) :]
-        for number, own_view, of_direct in zip(numbers, own_views, direct, strict=True):
+        for number, own_view, images, of_direct in zip(numbers, own_views, drawn, direct, strict=True):
             ping, index = pings[number], indices[number]
-            mine = [n for n, one in enumerate(found) if one.number == number]
-            if coarser is not None:
-                expected = coarser.expected
-            else:
-                planes = [found[n].plane for n in mine]
+            if coarser is None:
+                planes = [one.found.plane for one in images]
                 expected = self._expect_bodies(stage, ping.view, index, planes, of_direct)
+            else:
+                of_direct, expected = coarser.direct, coarser.expected
+            times_fewer = 1 if thinning.is_drawn_alike else thinning.times_fewer
             out[number] = ImageSourceSamples(
                 halvings=halvings,
                 direct=of_direct,
                 expected=expected,
                 imaged=BodySamples(
-                    samples=times_fewer * np.concatenate([counts[n].samples for n in mine]),
-                    echo=np.concatenate([counts[n].echo for n in mine]),
+                    samples=times_fewer * np.concatenate([one.counted.samples for one in images]),
+                    echo=np.concatenate([one.counted.echo for one in images]),
                 ),
                 interference=self._interference,
                 own=own,
                 image=image,
-                sources=tuple(
-                    ImageSource(
-                        reflector=found[n].reflector,
-                        plane=found[n].plane,
-                        ceiling=self._ceiling(ping.pose),
-                        pose=found[n].pose,
-                        own_view=own_view,
-                        image_view=[every_row(sector, step) for sector in image_views[n].sectors],
-                        own_index=index,
-                        image_index=view_index(image_views[n]),
-                    )
-                    for n in mine
-                ),
+                sources=self._sources(ping, index, own_view, images, thinning),
             )
         return out
+
+    def _draw_images(
+        self, drawing: Stage, pings: Sequence[tuple[DirectView, list[_FoundImage]]], direct: Stage | None
+    ) -> tuple[list[list[_DrawnImage]], list[BodySamples | None]]:
+        """Draw the images of pings, and count their samples; count those of the direct views at the same time.
+
+        drawing : Stage of the images
+        direct : Stage of the direct views; None where these are not to be counted again
+        """
+        images = [(ping, one) for ping, found in pings for one in found]
+        views = drawing.draw(
+            [ping.pose @ one.pose.sonar_from_image for ping, one in images],
+            [ping.state for ping, _ in images],
+            with_bodies=True,
+            planes=[one.pose.clip_plane for _, one in images],
+            keep_last=True,
+        )
+        counted = [(drawing, view, ping.gain) for (ping, _), view in zip(images, views, strict=True)]
+        if direct is not None:
+            counted += [(direct, ping.view, ping.gain) for ping, _ in pings]
+        counts = self._count_bodies(counted)
+        of_images, of_direct = counts[: len(images)], counts[len(images) :]
+        found = [one for _, one in images]
+        drawn = iter([_DrawnImage(*one) for one in zip(found, views, of_images, strict=True)])
+        of_pings = [list(islice(drawn, len(one))) for _, one in pings]
+        return of_pings, of_direct or [None] * len(pings)
+
+    def _sources(
+        self,
+        ping: DirectView,
+        index: ViewIndex,
+        own_view: Sequence[SectorSamples],
+        images: Sequence[_DrawnImage],
+        thinning: Thinning,
+    ) -> tuple[ImageSource, ...]:
+        """Return the image sources of a ping; index : of its direct view."""
+        step = thinning.rows if thinning.is_drawn_alike else 1
+        return tuple(
+            ImageSource(
+                reflector=found.reflector,
+                plane=found.plane,
+                pose=found.pose,
+                ceiling=self._ceiling(ping.pose),
+                own_view=own_view,
+                image_view=[every_row(sector, step) for sector in view.sectors],
+                own_index=index,
+                image_index=view_index(view),
+            )
+            for found, view, _ in images
+        )
 
     def _stages_for(self, stage: Stage, thinning: Thinning) -> tuple[Stage, Stage]:
         """Return the stages that sum the samples of the sonar and of its images beside direct views of `stage`."""
@@ -369,13 +398,11 @@ class ImageSources:
         share = np.divide(one_way, echo, out=np.ones_like(echo), where=echo > 0)
         return BodySamples((times * direct.samples).ravel(), (share * direct.echo).ravel())
 
-    def _reflecting(
-        self, ping: DirectView, index: ViewIndex, stage: Stage
-    ) -> list[tuple[PlanarReflector, np.ndarray]]:
-        """Return the reflectors that may return more than the tolerance, one of each plane, each with it.
+    def _find_images(self, ping: DirectView, index: ViewIndex, stage: Stage) -> list[_FoundImage]:
+        """Return the images behind reflectors that may return more than the tolerance, one of each plane.
 
-        Of several bodies in one plane, such as a floor and what stands on it, it is the largest. A plane is (4,) normal
-        and offset in the sonar's frame, the offset positive.
+        Of several bodies in one plane, such as a floor and what stands on it, it is the largest. The offsets of planes
+        are positive.
         """
         pose, state = ping.pose, ping.state
         squares = np.where(state.present, scales_of(state.poses) ** 2, 0.0)
@@ -408,7 +435,7 @@ class ImageSources:
             beside = [m for m in kept if found[m].body is not None and found[n].body is not None]
             if not any(_are_alike(planes[m], planes[n]) for m in beside):
                 kept.append(n)
-        return [(found[n], planes[n]) for n in sorted(kept)]
+        return [_FoundImage(found[n], planes[n], image_pose(planes[n])) for n in sorted(kept)]
 
     def _ceiling(self, pose) -> np.ndarray:
         """Return (4,) the water's surface in the sonar's frame, normal up; zeros if there is none."""
