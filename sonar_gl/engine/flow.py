@@ -27,7 +27,7 @@ class PingSetup:
     head_pose : (4, 4) world_from_head, from which the fan is drawn: the request's pose with the tilt of the head
     state : SceneState; None where a host draws
     acoustics : Acoustics in the ping's own water
-    gain : (K,) float32 of each bin
+    gain : (K,) float32 of each bin, linear power: the two-way transmission loss and the TVG
     pulse : weights of the matched filter, (n,) float32; None for a pulse shorter than a bin
     n_bodies : the highest number of a body; those that were added to the scene later have none in this ping
     background : bool by number, from 0 on, for shadows; or None

@@ -91,7 +91,6 @@ def draw(
 def receive(drawn: DrawnPing) -> ReceivedPing:
     """Sum the samples of a ping into beams and range bins. It needs no OpenGL, so that any thread may call it."""
     setup, beamformer = drawn.setup, drawn.resolution.stage.beamformer
-    # `setup.gain` is the two-way transmission loss and the TVG
     if setup.request.labels:
         direct, bodies = beamformer.sum_bodies(drawn.view, setup.gain)
         labels = label(drawn, bodies)

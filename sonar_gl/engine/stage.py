@@ -81,7 +81,7 @@ class Stage:
                 key = id(bubbles), id(pose)  # further views of a ping have the same
                 if key not in shadows:
                     shadows[key] = find_shadow(bubbles, pose, self.fan)
-                view = _with_bubbles(view, shadows[key])
+                view = with_bubbles(view, shadows[key])
             out.append(view)
         return out
 
@@ -90,15 +90,9 @@ class Stage:
         n_counted = view.n_met + EMPTY_SAMPLE * (view.n_samples - view.n_met)
         return Coverage(n_counted / self.fan.n_samples, view.n_faces)
 
-    def with_bubbles(self, view: ViewSamples, bubbles, pose) -> ViewSamples:
-        """Return a view attenuated behind bubbles, in place, and with their echoes.
 
-        bubbles, pose : of `find_shadow`
-        """
-        return _with_bubbles(view, find_shadow(bubbles, pose, self.fan))
-
-
-def _with_bubbles(view: ViewSamples, shadow: BubbleShadow | None) -> ViewSamples:
+def with_bubbles(view: ViewSamples, shadow: BubbleShadow | None) -> ViewSamples:
+    """Return a view attenuated behind bubbles, in place, and with their echoes."""
     index = view_index(view)
     attenuate(index, view.face_id, shadow)
     return replace(view, bubbles=find_echoes(index, shadow))

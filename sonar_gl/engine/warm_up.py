@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from sonar_gl.beamform.bubbles import find_shadow
 from sonar_gl.core.compiled import announce_compilation
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.run import Run
+from sonar_gl.engine.stage import with_bubbles
 from sonar_gl.sonar.sampling import sampling_of_width
 
 COARSE_DEG = 180.0
@@ -26,6 +28,6 @@ def warm_up(run: Run) -> None:
         pose = check_pose(np.eye(4))  # read-only, as in pings
         (view,) = stage.renderer.render([pose], full=True)
         if has_bubbles:
-            view = stage.with_bubbles(view, A_BUBBLE, pose)
+            view = with_bubbles(view, find_shadow(A_BUBBLE, pose, stage.fan))
         stage.beamformer.sum_view(view, run.instrument.gain)
     _warm.update(needed)

@@ -102,7 +102,7 @@ class World:
         """Have `add` wait for a job, of any user, that draws in another thread; inside `drawing`."""
         self._jobs.add(job)
 
-    def state_of(self, bodies, time_s=None, with_bubbles: bool = False, reflectivity=None) -> SceneState:
+    def state_of(self, bodies, time_s=None, needs_bubbles: bool = False, reflectivity=None) -> SceneState:
         """Return where bodies and bubbles are in a ping.
 
         Raises Error if a name is of nothing in the scene, or a value is not one of these.
@@ -110,7 +110,7 @@ class World:
         bodies : None, or names to (4, 4) world_from_body, which may scale by one factor for all axes, or to None for a
             body that is absent; the name of a model of the scene stands for all that is in it
         time_s : seconds, None for 0
-        with_bubbles : of the scene's plumes, if there are any
+        needs_bubbles : of the scene's plumes, if there are any
         reflectivity : None, or names of bodies to μ, 0..1
         """
         state, plume_poses = self._moved(bodies)
@@ -119,7 +119,7 @@ class World:
             state = replace(state, time_s=time_s)
         if reflectivity is not None:
             state = replace(state, reflectivity=self._reflectivity(reflectivity))
-        if not (with_bubbles and self.scene.plumes):
+        if not (needs_bubbles and self.scene.plumes):
             return state
         return replace(state, bubbles=self._bubbles_at(state.time_s or 0.0, plume_poses))
 

@@ -436,7 +436,7 @@ def test_bubbles_are_found_once_while_nothing_differs():
     with sg.Simulator(sg.Scene([wall(7.0), plume]), SONAR, sampling=sg.Sampling(3, 60)) as simulator:
 
         def found(bodies=None, time_s=None):
-            return simulator.world.state_of(bodies, time_s, with_bubbles=True).bubbles
+            return simulator.world.state_of(bodies, time_s, needs_bubbles=True).bubbles
 
         before = found()
         assert found({"wall": None}, 0.0) is before and not before.flags.writeable
