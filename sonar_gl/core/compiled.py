@@ -33,7 +33,7 @@ OPTIONS = {
     "fastmath": {"contract", "nsz", "arcp"},
 }
 
-AFTER_INSTALLATION = "once after each installation ('sonar-gl doctor' compiles all of them)"
+AFTER_INSTALLATION = "once after each installation ('sonar-gl doctor' compiles them)"
 IN_EACH_PROCESS = (
     "in each process, since no folder to keep them in can be written to; set NUMBA_CACHE_DIR to one that can"
 )
@@ -275,7 +275,7 @@ class _Announcement(event.Listener):
         if self.is_wanted:
             is_kept = event.data["dispatcher"].stats.cache_path is not None
             print(
-                "sonar_gl: compiling numerical kernels, which takes a minute or two (some minutes on one core), "
+                "sonar_gl: compiling numerical kernels; all of them take a minute or two (some minutes on one core), "
                 + (AFTER_INSTALLATION if is_kept else IN_EACH_PROCESS),
                 file=sys.stderr,
             )

@@ -55,9 +55,9 @@ def test_the_announcement_says_whether_the_machine_code_is_kept(is_kept, tmp_pat
     assert numba.njit(cache=is_kept)(add)(1) == 2
     announce_compilation(False)
     assert capsys.readouterr().err == (
-        "sonar_gl: compiling numerical kernels, which takes a minute or two (some minutes on one core), "
+        "sonar_gl: compiling numerical kernels; all of them take a minute or two (some minutes on one core), "
         + (
-            "once after each installation ('sonar-gl doctor' compiles all of them)\n"
+            "once after each installation ('sonar-gl doctor' compiles them)\n"
             if is_kept
             else "in each process, since no folder to keep them in can be written to; set NUMBA_CACHE_DIR to one "
             "that can\n"
