@@ -1,8 +1,8 @@
-"""Time pings of bundled scenes by stages, and judge them against the ray-cast reference.
+"""Time pings of scenes by stages, and judge them against the ray-cast reference.
 
-    python -m tools.bench                                # all scenes, some minutes
+    python -m tools.bench                                # three scenes, some minutes
     python -m tools.bench --quick                        # fewer rounds and rays, less than a minute
-    python -m tools.bench ping --scene pylon --json out.json
+    python -m tools.bench ping --scene my.sdf --rays 0   # where the time of a ping of another scene goes
     python -m tools.bench --rays 0                       # times only
 
 The setting is the same for all: 256 beams of 1 degree boxes over 45 x 20 degrees, 512 bins to 30 m, profile
@@ -136,6 +136,8 @@ def errors_of(scene, n_rays: int) -> tuple[dict, float]:
 def measure(name: str, rounds: int, n_rays: int) -> dict:
     """Return all figures of one scene; times in ms."""
     scene = sg.load_scene(name)
+    if scene.sonar_pose is None:
+        raise sg.Error(f"{name}: a scene to be timed must state where its sonar is (got none)")
     times, stages, rows = time_pings(scene, rounds)
     error, difference = errors_of(scene, n_rays) if n_rays else ({}, None)
     for row, figures in rows.items():
@@ -163,7 +165,11 @@ def measure(name: str, rounds: int, n_rays: int) -> dict:
 
 def add_options(parser):
     """Add the options of this bench."""
-    parser.add_argument("--scene", action="append", choices=SCENES, help="may be repeated; default: all")
+    parser.add_argument(
+        "--scene",
+        action="append",
+        help=f"bundled scene, or a file with a sonar in it; may be repeated; default: {', '.join(SCENES)}",
+    )
     parser.add_argument(
         "--rays", type=int, help="of a reference at most; 80 million, or 4 if quick; 0 for no errors"
     )
@@ -175,7 +181,7 @@ def run(options) -> dict:
     try:
         scenes = [measure(name, options.rounds, n_rays) for name in options.scene or SCENES]
     except sg.Error as why:
-        raise SystemExit(f"{why}; or leave the errors out with --rays 0") from None
+        raise SystemExit(f"{why}; or leave the errors out with --rays 0" if n_rays else str(why)) from None
     return {"sonar": asdict(SONAR), "scenes": scenes}
 
 
