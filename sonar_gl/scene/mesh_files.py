@@ -31,7 +31,11 @@ TIDY = {".obj": tidy_obj, ".ply": tidy_ply}  # functions of a file's bytes, whic
 # of text that is read in double precision: that single precision holds it, too, as whole metres, says nothing
 DECIMAL_SUFFIXES = (".obj",)
 STL_HEAD, STL_TRIANGLE = 84, 50  # bytes of a binary STL: the head ends with the number of triangles
-Y_UP_SUFFIXES = BUFFER_SUFFIXES = (".glb", ".gltf")
+Y_UP_SUFFIXES = (".glb", ".gltf")
+BUFFER_SUFFIXES = (
+    ".glb",
+    ".gltf",
+)  # of files that are checked by `check_geometry`, and may name files of buffers
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
