@@ -491,6 +491,6 @@ def _view_of(source: ImageSource, interference: Interference, from_image: bool, 
             is_body=source.reflector.body is not None,
             reflected_intensity=source.reflector.reflection_coefficient,
         )
-        for sector, *_ in sectors
+        for sector in (one.sector for one in sectors)
     )
     return ImageSourceView(sectors, reflections, strips)

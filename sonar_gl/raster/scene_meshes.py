@@ -53,7 +53,7 @@ class SceneMeshes:
     surface_z_m : of the water, which ends there for a sonar in it; or None
     bodies : (n,) array of Body, in the order of their numbers
     state : SceneState, unless a ping has its own
-    rows : (n, PER_BODY) float32, positions not filled in
+    rows : (n, PER_BODY) float32, the table of bodies, as of `BodiesInView`; positions not filled in
     boxes : BodyBoxes
     levels : the patches of all meshes, one after the other: fields of `Levels` by name
     most_patches : that a sector may choose

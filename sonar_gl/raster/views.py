@@ -82,7 +82,7 @@ class BodiesInView(NamedTuple):
 
     present : (n,) bool
     matrices : (n, 3, 4) sonar_from_body, about the middle of its mesh
-    rows : (n, PER_BODY) float32, what the shader knows of them
+    rows : (n, PER_BODY) float32, the table of bodies, whose columns `cull` names; no rows of samples
     outside : whether back faces may be culled: the sonar is in the box of no closed body
     has_lobes : whether any has a specular lobe
     plane : (4,) a; only a · (x, y, z, 1) > 0 in the sonar's frame is drawn; or None
