@@ -24,9 +24,6 @@ class SimulatorPool:
         self._scene, self._engine, self._placed = scene, None, {}
         self._simulators: OrderedDict[tuple[Sonar, Acoustics, float], Simulator] = OrderedDict()
 
-    def __len__(self):
-        return len(self._simulators)
-
     def simulator(
         self, sonar: Sonar, acoustics: Acoustics, tolerance: float, engine: str | None = None
     ) -> Simulator:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import math
 import threading
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -29,7 +28,7 @@ NORM_TOLERANCE = 0.01  # of a quaternion's square, as in tf2
 
 
 class RefusedError(Exception):
-    """What is wrong with a message or a part of it, and of which few kinds that is, by which messages are counted."""
+    """What is wrong with a message or a part of it, and of which few kinds that is, each of which is logged once."""
 
     def __init__(self, kind: str, why: str):
         super().__init__(why)
@@ -40,7 +39,7 @@ class RefusedMessages:
     """Counts what was refused, and logs the first of each kind."""
 
     def __init__(self):
-        self._counts, self._lock = Counter(), threading.Lock()
+        self._total, self._seen, self._lock = 0, set(), threading.Lock()
 
     @contextmanager
     def counting(self, name: str) -> Iterator[None]:
@@ -54,8 +53,9 @@ class RefusedMessages:
 
     def _add(self, name: str, kind: str, why: str) -> None:
         with self._lock:
-            self._counts[name, kind] += 1
-            is_first = self._counts[name, kind] == 1
+            self._total += 1
+            is_first = (name, kind) not in self._seen
+            self._seen.add((name, kind))
         if is_first:
             logger.warning(
                 "%s: a message or a part of it is ignored: %s (others like it are only counted)", name, why
@@ -63,12 +63,7 @@ class RefusedMessages:
 
     @property
     def total(self) -> int:
-        with self._lock:
-            return sum(self._counts.values())
-
-    def by_kind(self) -> dict[tuple[str, str], int]:
-        with self._lock:
-            return dict(self._counts)
+        return self._total
 
 
 def _matrix(position, orientation) -> np.ndarray:

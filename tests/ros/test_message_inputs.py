@@ -49,7 +49,7 @@ def test_poses_are_those_of_the_last_message(msgtype, make, refused):
     for frame in ("", "/world"):
         poses.receive(make(np.eye(4), frame=frame))
     np.testing.assert_array_equal(poses.latest(), np.eye(4))
-    assert refused.by_kind() == {}
+    assert refused.total == 0
 
 
 def test_big_endian_messages_are_read(refused):
@@ -64,29 +64,29 @@ def test_big_endian_messages_are_read(refused):
 
 
 @pytest.mark.parametrize(
-    ("kind", "data"),
+    ("why", "data"),
     [
-        ("no such message", b""),
-        ("no such message", pose_stamped(PLACE)[:-1]),
-        ("no such message", b"\x00\x06" + pose_stamped(PLACE)[2:]),
-        ("no such message", pose_stamped(PLACE)[:12] + b"\xff\xff\xff\x7f" + pose_stamped(PLACE)[16:]),
-        ("not finite", pose_stamped(PLACE, x=math.nan)),
-        ("not finite", pose_stamped(PLACE, quaternion=(math.inf, 0, 0, 0))),
-        ("too far", pose_stamped(PLACE, x=-1e300)),
-        ("no rotation", pose_stamped(PLACE, quaternion=(0, 0, 0, 0))),
-        ("no rotation", pose_stamped(PLACE, quaternion=(1e200, 1e200, 0, 0))),
-        ("other frame", pose_stamped(PLACE, frame="odom")),
+        ("must begin with the mark of CDR", b""),
+        ("must be whole, in CDR", pose_stamped(PLACE)[:-1]),
+        ("must begin with the mark of CDR", b"\x00\x06" + pose_stamped(PLACE)[2:]),
+        ("must be whole, in CDR", pose_stamped(PLACE)[:12] + b"\xff\xff\xff\x7f" + pose_stamped(PLACE)[16:]),
+        ("must be finite", pose_stamped(PLACE, x=math.nan)),
+        ("must be finite", pose_stamped(PLACE, quaternion=(math.inf, 0, 0, 0))),
+        ("must lie within", pose_stamped(PLACE, x=-1e300)),
+        ("must have the length 1", pose_stamped(PLACE, quaternion=(0, 0, 0, 0))),
+        ("must have the length 1", pose_stamped(PLACE, quaternion=(1e200, 1e200, 0, 0))),
+        ("must be in the frame 'world'", pose_stamped(PLACE, frame="odom")),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_wrong_poses_are_counted_and_logged_once_and_change_nothing(kind, data, refused, caplog):
+def test_wrong_poses_are_counted_and_logged_once_and_change_nothing(why, data, refused, caplog):
     poses = PoseInput("/pose", STAMPED, "world", refused)
     poses.receive(pose_stamped(PLACE))
     with caplog.at_level(logging.WARNING):
         for _ in range(3):
             poses.receive(data)
-    assert refused.by_kind() == {("/pose", kind): 3} and refused.total == 3
-    assert len(caplog.records) == 1 and "/pose: a message" in caplog.text
+    assert refused.total == 3
+    assert len(caplog.records) == 1 and "/pose: a message" in caplog.text and why in caplog.text
     np.testing.assert_allclose(poses.latest(), PLACE, atol=ROUNDING)
 
 
@@ -97,7 +97,7 @@ def test_quaternions_are_made_unit_within_what_tf2_allows(refused):
     np.testing.assert_allclose(poses.latest(), PLACE, atol=ROUNDING)
     poses.receive(pose_stamped(np.eye(4), quaternion=1.006 * quaternion))
     np.testing.assert_allclose(poses.latest(), PLACE, atol=ROUNDING)
-    assert refused.by_kind() == {("/pose", "no rotation"): 1}
+    assert refused.total == 1
 
 
 def test_a_frame_is_found_through_its_parents(refused):
@@ -118,7 +118,7 @@ def test_frames_in_a_circle_end(refused):
     assert frames.latest() is None
 
 
-def test_bodies_are_taken_once_and_a_wrong_one_spoils_no_other(refused):
+def test_bodies_are_taken_once_and_a_wrong_one_spoils_no_other(refused, caplog):
     bodies = BodiesInput("/bodies", Scene(bodies_at("ball", "wall")), "world", refused)
     wrong = 2 * np.eye(4)
     bodies.receive(
@@ -133,8 +133,9 @@ def test_bodies_are_taken_once_and_a_wrong_one_spoils_no_other(refused):
     moved = bodies.take()
     assert list(moved) == ["ball"] and bodies.take() == {}
     np.testing.assert_allclose(moved["ball"], PLACE, atol=ROUNDING)
-    kinds = {"no body": 1, "other frame": 1, "no rotation": 1}
-    assert refused.by_kind() == {("/bodies", kind): number for kind, number in kinds.items()}
+    whys = "names of bodies (got 'diver')", "in the frame 'world' (got 'odom'", "the length 1 (got 0)"
+    assert refused.total == len(caplog.records) == 3
+    assert all(why in one.getMessage() for why, one in zip(whys, caplog.records, strict=True))
 
 
 def test_shapes_of_a_body_move_with_it_and_other_links_do_not(refused):
@@ -160,7 +161,7 @@ def test_all_of_a_model_moves_with_it(refused):
     np.testing.assert_array_equal(moved["rov::hull"], pose(0, 0, 5))
     np.testing.assert_allclose(moved["rov::arm"], pose(2, 0, 5, yaw=-np.pi / 2), atol=ROUNDING)
     np.testing.assert_allclose(moved["rov::bubbles"], pose(0, 0, 6, yaw=-np.pi / 2), atol=ROUNDING)
-    assert refused.by_kind() == {("/bodies", "no body"): 1}
+    assert refused.total == 1
     bodies.receive(transforms(("world", "rov::arm", PLACE)))
     assert list(bodies.take()) == ["rov::arm"]
 
@@ -189,7 +190,7 @@ def test_the_clock_gives_each_time_once(refused):
     stamp = types.make("builtin_interfaces/Time", -1, 0), types.make("builtin_interfaces/Time", 1, 10**9)
     for wrong in stamp:
         clock.receive(types.encode(types.make("rosgraph_msgs/Clock", wrong)))
-    assert clock.wait(0.0) is None and refused.by_kind() == {("/clock", "no time"): 2}
+    assert clock.wait(0.0) is None and refused.total == 2
 
 
 def mutated(chance, data):
@@ -208,7 +209,7 @@ def mutated(chance, data):
 
 @pytest.mark.parametrize("count", [4_000, pytest.param(100_000, marks=pytest.mark.slow)])
 @pytest.mark.timeout(600)
-def test_wrong_messages_neither_raise_nor_stall(count, refused):
+def test_wrong_messages_neither_raise_nor_stall(count, refused, caplog):
     types, chance = message_types(), random.Random(1)
     inputs = [
         (PoseInput("/odom", ODOMETRY, "world", refused), odometry(PLACE)),
@@ -230,7 +231,7 @@ def test_wrong_messages_neither_raise_nor_stall(count, refused):
     # a length of 2³¹ elements, taken at its word, would take minutes or the memory
     assert slowest_s < 0.5
     assert refused.total > count / 4
-    assert len(refused.by_kind()) < 40
+    assert len(caplog.records) < 40
     for one, right in inputs[:3]:  # and right ones are read after it
         one.receive(right)
         np.testing.assert_allclose(one.latest(), PLACE, atol=ROUNDING)
