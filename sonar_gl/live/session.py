@@ -35,7 +35,7 @@ from sonar_gl.live.frame import (
 from sonar_gl.live.key_motion import SPEED_M_S, TURN_RATE_RAD_S, moved
 from sonar_gl.live.live_sonar import FrameRequest, LiveSonar
 from sonar_gl.live.output import DEFAULT_FOLDER, LiveOutput
-from sonar_gl.live.pictures import pixel_cells, pixels_of
+from sonar_gl.live.pictures import pixel_cells
 from sonar_gl.live.ping_thread import PingThread
 from sonar_gl.live.settings import LiveSettings, SettingsTrial
 from sonar_gl.live.sonar_motion import SonarMotion
@@ -309,14 +309,6 @@ class LiveSession:
         """
         beam, bin = check_bin(frame, beam, bin)
         return self._thread.do(lambda: self._sonar.surface(frame, beam, bin))
-
-    def bins_of(self, frame: LiveFrame, body: str) -> np.ndarray:
-        """Return the bins of a frame's ping in which a body has the strongest echo, (B, K) bool."""
-        return self._labelled(frame).body_id == body_number(self.scene, body)
-
-    def pixels_of(self, frame: LiveFrame, body: str) -> np.ndarray:
-        """Return the pixels of a frame's picture in which a body has the strongest echo, (H, W) bool."""
-        return pixels_of(self.bins_of(frame, body), pixel_cells(frame.ping, frame.settings))
 
     def _labelled(self, frame: LiveFrame) -> Ping:
         """Return a frame's ping with labels; it is made again, without noise, unless it has them."""

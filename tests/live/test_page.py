@@ -21,6 +21,7 @@ from sonar_gl.live.view import page as page_module
 from sonar_gl.live.view.page import ViewerPage
 from sonar_gl.live.view.scene_nodes import GIZMO_PIXELS
 from tests.support.browser import COUNT_PICTURES, MissingBrowserError, open_browser
+from tests.support.live_readings import brightest_pixel
 
 pytestmark = pytest.mark.slow  # as a browser by software is; .ci/run runs them
 
@@ -207,11 +208,9 @@ def read_out(tab):
 def place_of(viewer, body):
     """A place of the page where the picture shows a body: the strongest of its pixels."""
     frame = viewer.session.next_frame()
-    mask = viewer.session.pixels_of(frame, body)
-    brightness = np.where(mask, frame.picture.sum(2, dtype=int), -1)
-    row, column = np.unravel_index(brightness.argmax(), mask.shape)
+    row, column = brightest_pixel(viewer.session, frame, body)
     box = viewer.tab.locator(PICTURE).first.bounding_box()
-    height, width = mask.shape
+    height, width, _ = frame.picture.shape
     return box["x"] + (column + 0.5) / width * box["width"], box["y"] + (row + 0.5) / height * box["height"]
 
 

@@ -23,6 +23,7 @@ from sonar_gl.live.view.control_panel import MAX_OWN
 from sonar_gl.live.view.page import ViewerPage
 from sonar_gl.live.view.scene_nodes import pose_of
 from sonar_gl.live.viewer import LiveView
+from tests.support.live_readings import brightest_pixel
 from tests.support.viser_client import connected
 from tests.support.waiting import WAIT_S, wait_until
 
@@ -178,9 +179,9 @@ def test_a_selected_body_is_named_and_outlined_until_it_is_unselected(session, b
 
 @pytest.mark.slow
 def test_the_page_says_what_the_last_click_has_met(session, page, browser):
-    pixels = session.pixels_of(session.frame, "pylon_square")
-    row, column = np.argwhere(pixels)[0]
-    there = [(column + 0.5) / pixels.shape[1], (row + 0.5) / pixels.shape[0]]
+    row, column = brightest_pixel(session, session.frame, "pylon_square")
+    height, width, _ = session.frame.picture.shape
+    there = [(column + 0.5) / width, (row + 0.5) / height]
     browser.tell(pointer=there)
     wait_until(lambda: "pylon_square" in read_out(browser))  # the page knows of this browser's clicks, none
     assert words(browser, "last click") == ""
