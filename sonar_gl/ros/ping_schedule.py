@@ -24,7 +24,8 @@ class PingSchedule:
     """The times at which a sonar pings: the first step that it sees, and from then on evenly.
 
     A ping is made in the first step at or after its time. If another one's time has come by then, it is dropped, so
-    that nothing piles up, and the times that follow do not drift.
+    that nothing piles up, and the times that follow do not drift. After a ping that had to wait until it could be made
+    the next one follows a period later, and after any ping half a period later at the soonest.
 
     rate_hz : pings per second, of the time of the steps
 
@@ -37,6 +38,7 @@ class PingSchedule:
         self._period_ns = 1e9 / rate_hz
         self._start_ns = self._seen_ns = self._last_ns = None
         self._number = 0  # of the next ping since the start
+        self._earliest_ns = 0.0  # of the next ping, after the start
 
     def advance(self, time_ns: int, is_ready: bool = True) -> Slot:
         """Return what to do at a time.
@@ -50,15 +52,19 @@ class PingSchedule:
         """
         has_jumped = self._start_ns is not None and self._is_jump(time_ns)
         if self._start_ns is None or has_jumped:
-            self._start_ns = self._last_ns = time_ns
-            self._number = 0
+            self._start_ns = self._last_ns = self._seen_ns = time_ns
+            self._number, self._earliest_ns = 0, 0.0
+        elapsed_ns, before_ns = time_ns - self._start_ns, self._seen_ns - self._start_ns
         self._seen_ns = time_ns
-        elapsed_ns = time_ns - self._start_ns
         number = max(self._number, int((elapsed_ns + 0.5) // self._period_ns))
         # counted at once, not when the next ping begins: there may be none, at the end or before a jump
         n_dropped, self._number = number - self._number, number
-        if not is_ready or elapsed_ns < round(number * self._period_ns):
+        due_ns = max(number * self._period_ns, self._earliest_ns)
+        if not is_ready or elapsed_ns + 0.5 < due_ns:
             return Slot(False, n_dropped, has_jumped)
+        has_waited = due_ns <= before_ns  # it was not made in the step before
+        begun_ns = elapsed_ns if has_waited else due_ns
+        self._earliest_ns = max(begun_ns + self._period_ns, elapsed_ns + self._period_ns / 2)
         self._number, self._last_ns = number + 1, time_ns
         return Slot(True, n_dropped, has_jumped)
 
