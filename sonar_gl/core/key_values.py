@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import fields
 from types import NoneType
 from typing import get_args, get_type_hints
@@ -15,7 +15,12 @@ SWITCHES |= dict.fromkeys(("0", "no", "false", "off"), False)
 
 
 def parse_fields(
-    what: str, text: str, cls: type, presets: Collection[str] = (), without: Collection[str] = ()
+    what: str,
+    text: str,
+    cls: type,
+    presets: Collection[str] = (),
+    without: Collection[str] = (),
+    hint_of: Callable[[str, Collection[str]], str] = nearest_names,
 ) -> tuple[str | None, dict]:
     """Parse `key=value,...` by the types of the fields of a dataclass; return the preset, or None, and the values.
 
@@ -28,6 +33,7 @@ def parse_fields(
     cls : dataclass with fields of type bool, int, float or str, or one of these and None
     presets : names that the first item may have in place of a key
     without : fields that text cannot set
+    hint_of : what a message says of an unknown name, from that name and the known ones
     """
     check_kind(what, text, str, "such as 'key=value,key=value'")
     hints = get_type_hints(cls)
@@ -47,7 +53,7 @@ def parse_fields(
             )
         if key not in kinds:
             known = [*kinds, *presets] if may_be_preset else kinds
-            hint = nearest_names(key, known)
+            hint = hint_of(key, known)
             if (
                 may_be_preset
                 and presets

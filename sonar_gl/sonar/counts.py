@@ -96,7 +96,9 @@ class Counts:
                     f"(got {self.gain_db:g} and {self.gain_percentile:g}; leave one out)"
                 )
         if not is_whole_number(self.bits) or self.bits not in (8, 16):
-            raise Error(f"counts: bits must be 8 or 16 (got {shown(self.bits)})")
+            is_between = is_whole_number(self.bits) and 8 < self.bits < 16
+            cure = f"; take 16, and shift its counts right by {16 - self.bits} bits" if is_between else ""
+            raise Error(f"counts: bits must be 8 or 16 (got {shown(self.bits)}{cure})")
 
     @property
     def full_scale(self) -> int:

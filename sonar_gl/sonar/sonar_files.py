@@ -21,6 +21,22 @@ from sonar_gl.sonar.sonar import UNPARSED, Sonar
 OTHER_TABLES = {"noise": "Noise", "acoustics": "Acoustics", "water": "Water"}
 OF_COUNTS = {field.name for field in fields(Counts)}
 PRESETS = Path(__file__).with_name("sonars.toml")
+# names of other data sheets and simulators, as patterns: the field that says the same, or what to write
+OTHER_NAMES = {
+    r"(h|hor\w*_|azimuth_)?fov(_deg|_rad)?": "azimuth_fov_deg",
+    r"(v|ver\w*_|elevation_)fov(_deg|_rad)?|(vertical|elevation)_beam_?width\w*": "elevation_fov_deg",
+    r"(horizontal_|azimuth_)?beam_?width(_rad)?|(horizontal_|azimuth_)beam_?width_deg": "beam_width_deg",
+    r"n(um(ber)?)?_?(of_)?beams": "n_beams",
+    r"n(um(ber)?)?_?(of_)?(range_)?(bins|samples)|range_bins": "n_bins",
+    r"max(imum)?_range(_m)?": "range_max_m",
+    r"min(imum)?_range(_m)?": "range_min_m",
+    r"pulse_(length|duration|width)(_\w+)?": (
+        "give bandwidth_hz: the band that a chirp sweeps; of a pulse without modulation 1/length, together with "
+        "pulse_taper = uniform"
+    ),
+    r"bit_depth|n(um(ber_of)?)?_bits": "write counts = { bits = 16 }",
+    r"(sound_speed|speed_of_sound)\w*": "it is of the water: give it as --water, or as sonar_gl.Water",
+}
 
 
 def load_sonar(what: str | Path) -> Sonar:
@@ -87,8 +103,16 @@ def _changed(what: str, text: str) -> Sonar:
                 f"sonar {text!r}: {key} cannot be changed by text (write it in the sonar's file, or give it to "
                 f"dataclasses.replace{option})"
             )
-    _, values = parse_fields("sonar", text, Sonar, without=UNPARSED)
+    _, values = parse_fields("sonar", text, Sonar, without=UNPARSED, hint_of=_field_hint)
     return replace(load_sonar(what), **values)
+
+
+def _field_hint(name: str, known: Collection[str]) -> str:
+    """Return the hint about an unknown name of a field: what says the same here, or the most similar known names."""
+    for pattern, hint in OTHER_NAMES.items():
+        if re.fullmatch(pattern, name.casefold()):
+            return f"did you mean {hint!r}?" if hint in known else hint
+    return nearest_names(name, known)
 
 
 def _no_sonar_error(what: str | Path, path: Path, known: Collection[str]) -> Error:
@@ -210,7 +234,8 @@ def _sonar_from_table(location: str, name: str, table: dict) -> Sonar:
             if key in OF_COUNTS:  # gain_db and bits resemble other keys of a sonar
                 cure = f"write counts = {{ {key} = ... }}"
                 raise Error(f"{key} must be a key of the law of counts (got it as one of the sonar; {cure})")
-            check_choice("key", key, required)
+            if key not in required:
+                raise Error(f"unknown key (got {shown(key)}; {_field_hint(key, required)})")
         for key in ("name", "source"):
             if not isinstance(table.get(key, ""), str):
                 raise Error(f"{key} must be text (got {table[key]!r}; put it in quotes)")

@@ -239,7 +239,10 @@ def test_changes_keep_the_rest():
         ({"high_db": -60}, "counts: low_db must be less than high_db (got -60 and -60)"),
         ({"gain_percentile": 101}, "counts: gain_percentile must lie in 0..100 (got 101)"),
         ({"gain_db": 3, "gain_percentile": 99}, "counts: gain_db and gain_percentile exclude each other"),
-        ({"bits": 12}, "counts: bits must be 8 or 16 (got 12)"),
+        (
+            {"bits": 12},
+            "counts: bits must be 8 or 16 (got 12; take 16, and shift its counts right by 4 bits)",
+        ),
         ({"bits": 8.0}, "counts: bits must be 8 or 16 (got 8.0)"),
     ],
 )

@@ -242,6 +242,35 @@ def test_text_may_change_fields(tmp_path):
     assert error_of(load_sonar, "p901,n_bins=7").startswith("unknown sonar (got 'p901'")
 
 
+@pytest.mark.parametrize(
+    ("keys", "hint"),
+    [
+        ("fov fov_deg hfov horizontal_fov horizontal_fov_deg azimuth_fov", "did you mean 'azimuth_fov_deg'?"),
+        ("vfov vertical_fov_deg vertical_beam_width_deg", "did you mean 'elevation_fov_deg'?"),
+        ("beamwidth horizontal_beam_width_deg", "did you mean 'beam_width_deg'?"),
+        ("num_beams number_of_beams nbeams", "did you mean 'n_beams'?"),
+        ("num_bins range_bins n_samples", "did you mean 'n_bins'?"),
+        ("max_range maximum_range_m", "did you mean 'range_max_m'?"),
+        ("min_range min_range_m", "did you mean 'range_min_m'?"),
+        (
+            "pulse_length_us pulse_length_s pulse_duration pulse_width",
+            "give bandwidth_hz: the band that a chirp sweeps; of a pulse without modulation 1/length, together "
+            "with pulse_taper = uniform",
+        ),
+        ("bit_depth n_bits", "write counts = { bits = 16 }"),
+        ("sound_speed sound_speed_m_s", "it is of the water: give it as --water, or as sonar_gl.Water"),
+    ],
+)
+def test_names_of_other_data_sheets_are_told_what_says_the_same(tmp_path, keys, hint):
+    for key in keys.split():
+        path = tmp_path / "mine.toml"
+        path.write_text(f"{TEXT}{key} = 1\n")
+        assert error_of(load_sonar, path) == f"{path} [mine]: unknown key (got {key!r}; {hint})"
+        text = f"{key}=1"
+        expected = f"sonar {text!r}: unknown name (got {key!r}; {hint})"
+        assert error_of(load_sonar, f"p900-45,{text}") == expected
+
+
 def test_an_unknown_preset_is_an_error():
     assert error_of(load_sonar, "p900-46") == (
         "unknown sonar (got 'p900-46'; did you mean 'p900-45' or 'p900-90' or 'm900-45'?)"
