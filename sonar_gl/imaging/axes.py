@@ -21,6 +21,7 @@ STROKES = ((0, 2, 0.2), (255, 1, 0.45))
 SPOKE_STEPS_DEG = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 45, 90)
 ARC_STEPS_M = tuple(n * 10.0**e for e in range(-4, 6) for n in (1, 2, 5))
 MAX_NAME = 60  # letters of a name, so that a title can be read
+TEXT_GRAY = 225
 LABEL_SIZE = np.array([65, 24])  # pixels across and down that a label takes, at font size 1
 
 
@@ -295,16 +296,25 @@ class _Axes:
         (width, height), _ = cv2.getTextSize(text, FONT, size, 1)
         x, y, pad = round(centre[0] - width / 2), round(centre[1] + height / 2), math.ceil(5 * size)
         canvas[max(0, y - height - pad) : y + pad, max(0, x - pad) : x + width + pad] //= 4
-        style = ((225,) * 3, 1, cv2.LINE_AA)
-        cv2.putText(canvas, text, (x, y), FONT, size, *style)
+        cv2.putText(canvas, text, (x, y), FONT, size, (TEXT_GRAY,) * 3, 1, cv2.LINE_AA)
         if degrees:
-            dot = round(16 * (x + width + 5 * size)), round(16 * (y - height + 2 * size))
-            cv2.circle(canvas, dot, round(16 * max(1.5, 3.5 * size)), *style, 4)
+            radius = max(2.0, 3.5 * size)
+            _draw_ring(canvas, (x + width + 1.5 * radius, y - height + 2 * size), radius)
 
     def _write_from(self, canvas: np.ndarray, text: str, column: int, row: float) -> None:
         """Write text that begins at a column, about a row."""
         (width, _), _ = cv2.getTextSize(text, FONT, self.font_size, 1)
         self._write(canvas, text, (column + width / 2, row))
+
+
+def _draw_ring(canvas: np.ndarray, centre: tuple[float, float], radius: float) -> None:
+    """Draw a ring one pixel wide about a position; one of a few pixels is a diamond by `cv2.circle`."""
+    reach = radius + 1
+    (left, right), (top, bottom) = ((max(0, math.ceil(at - reach)), int(at + reach) + 1) for at in centre)
+    pixels = canvas[top:bottom, left:right]
+    row, column = np.ogrid[top : top + pixels.shape[0], left : left + pixels.shape[1]]
+    weight = np.clip(1 - np.abs(np.hypot(column - centre[0], row - centre[1]) - radius), 0, 1)[..., None]
+    pixels[:] = np.rint(pixels * (1 - weight) + TEXT_GRAY * weight)
 
 
 _axes = lru_cache(maxsize=4)(_Axes)  # so that lines are laid once for all pings of a sequence

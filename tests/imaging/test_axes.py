@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -120,6 +121,22 @@ def test_labels_of_spokes_are_positive_to_port_and_counts_rise_along_the_bar(mon
     assert columns == sorted(columns) and len(set(columns)) == 4
     rows = [places[count][1] for count in ("255", "191", "128", "64")]
     assert rows == sorted(rows) and len(set(rows)) == 4
+
+
+@pytest.mark.parametrize("height", [300, 675, 1200])
+def test_degree_signs_are_rings_with_a_hole(monkeypatch, height):
+    """Also in the smallest letters."""
+    ping = fan_ping(90, range_m=(1.0, 27.0))
+    monkeypatch.setattr(axes.cv2, "putText", lambda *_: None)
+    drawn = draw_axes(np.zeros((*fan_image(ping, height).shape, 3), np.uint8), ping).max(axis=2)
+    margin = (len(drawn) - height) // 2
+    above = drawn[: margin - 2]  # the outer arc begins below
+    _, _, boxes, centres = cv2.connectedComponentsWithStats((above > 20).astype(np.uint8))
+    assert len(boxes) > 1  # the ground, that of 0 degrees, and others that lie as high
+    for (_, _, width, rows, _), (column, row) in zip(boxes[1:], centres[1:], strict=True):
+        assert abs(width - rows) <= 1 and width >= 5
+        ring = above[round(row), round(column) - width : round(column) + width]
+        assert above[round(row), round(column)] == 0 and ring.max() > 180
 
 
 def test_spokes_are_labelled_on_both_sides_or_neither(monkeypatch):
