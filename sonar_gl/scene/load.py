@@ -14,7 +14,7 @@ import numpy as np
 
 from sonar_gl.core.checks import shown
 from sonar_gl.core.data_files import data_folder
-from sonar_gl.core.errors import Error, errors_at, nearest_names, similar_names
+from sonar_gl.core.errors import Error, errors_at, nearest_names, similar_names, some_names
 from sonar_gl.core.input_files import check_is_file, check_no_link_loop
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.scene import mesh_files, mujoco_model
@@ -143,7 +143,10 @@ def _no_scene_error(what, path: Path) -> Error:
     if suffix in USD_SUFFIXES:
         return Error(f"{path}: USD is not read; convert it to .glb, for instance by Blender")
     if path.is_dir():
-        return Error(f"{path}: a folder must be that of a model (it has neither model.config nor model.sdf)")
+        hint = _files_hint(path)
+        return Error(
+            f"{path}: a folder must be that of a model (it has neither model.config nor model.sdf{hint})"
+        )
     if re.search(r"\.xacro\s+\w+=", str(what)) and not path.exists():
         return Error(f"{path}: arguments of xacro are given as name:=value, with a colon")
     if path.exists() or suffix or path.name != str(what):
@@ -154,12 +157,28 @@ def _no_scene_error(what, path: Path) -> Error:
     return Error(f"there is no bundled scene {str(what)!r} ({hint}; a file must end in one of {endings})")
 
 
+def _files_hint(folder: Path) -> str:
+    """Return what to give in place of a folder that holds files of scenes; empty if it holds none."""
+    files = _scene_files(folder)
+    if not files:
+        return ""
+    hint = f"; give one of its files: {some_names([one.name for one in files])}"
+    if len(files) > 1 and all(one.suffix.lower() in mesh_files.SUFFIXES for one in files):
+        hint += "; or an SDF file with a model for each mesh"
+    return hint
+
+
+def _scene_files(folder: Path) -> list[Path]:
+    """Return the files in a folder that have the ending of a scene, sorted; none if it cannot be read."""
+    try:
+        return sorted(one for one in folder.iterdir() if one.suffix.lower() in SUFFIXES)
+    except OSError:
+        return []
+
+
 def _similar_files(path: Path) -> str:
     """Return a question about files of scenes beside a missing one that have similar names; empty if there are none."""
-    try:
-        files = sorted(one for one in path.parent.iterdir() if one.suffix.lower() in SUFFIXES)
-    except OSError:
-        return ""
+    files = _scene_files(path.parent)
     # endings are alike in any two names
     near = difflib.get_close_matches(path.stem.lower(), {one.stem.lower() for one in files}, cutoff=0.6)
     return similar_names(path.name, [one.name for one in files if one.stem.lower() in near])

@@ -98,6 +98,27 @@ def two_scenes(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.parametrize(
+    ("names", "hint"),
+    [
+        ([], ""),
+        (["notes.txt"], ""),
+        (["a.stl"], "; give one of its files: a.stl"),
+        (
+            ["b.OBJ", "a.stl", "notes.txt"],
+            "; give one of its files: a.stl, b.OBJ; or an SDF file with a model for each mesh",
+        ),
+        (["b.obj", "a.stl", "tank.sdf"], "; give one of its files: a.stl, b.obj, tank.sdf"),
+    ],
+)
+def test_a_folder_of_meshes_is_told_what_to_give(tmp_path, names, hint):
+    for name in names:
+        (tmp_path / name).touch()
+    assert error_message(tmp_path) == (
+        f"{tmp_path}: a folder must be that of a model (it has neither model.config nor model.sdf{hint})"
+    )
+
+
 def test_bundled_names_and_unknown_ones(two_scenes):
     assert list(bundled_scenes()) == ["harbour", "pylon"]
     assert load_scene("pylon").name == "pylon"
@@ -123,7 +144,8 @@ def test_invalid_paths(two_scenes):
     )
     assert (
         error_message(str(two_scenes))
-        == f"{two_scenes}: a folder must be that of a model (it has neither model.config nor model.sdf)"
+        == f"{two_scenes}: a folder must be that of a model (it has neither model.config nor model.sdf; give one of "
+        "its files: harbour.sdf, pylon.sdf)"
     )
     for address in (
         "https://fuel.gazebosim.org/1.0/a/models/Boat",
