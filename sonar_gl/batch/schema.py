@@ -27,6 +27,7 @@ from sonar_gl.sonar.sonar import Sonar
 BACKGROUND_WORDS = "floor", "ground", "seabed", "terrain", "heightmap", "wall"  # in names of bodies
 ELEVATION_STEP_RAD, NO_ELEVATION = 1e-4, -32768
 INCIDENCE_STEP_RAD, NO_INCIDENCE = math.pi / 2 / 254, 255
+SHARE_STEP, NO_SHARE = 1 / 254, 255  # of pings that failed; xarray warns where integers for floats have none
 STRONGEST = "of the strongest echo"
 
 # ---- arrays and their encoding ----------------------------------------------------------------------
@@ -117,14 +118,14 @@ def bin_layers(
         dims, attributes = ("beam", "range"), {"long_name": long_name, **more}
         return ArraySpec(name, dtype, (sonar.n_beams, sonar.n_bins), dims, fill, attributes, encode)
 
-    def quantized(name, dtype, step, long_name, units, missing=None):
+    def quantized(name, dtype, step, long_name, units, missing):
         """The field `name` of a ping, in steps."""
-        fill, more = (0, {}) if missing is None else (missing, {"_FillValue": missing})
 
         def encode(ping, *_):
-            return _quantize(getattr(ping, name), step, fill, dtype)
+            return _quantize(getattr(ping, name), step, missing, dtype)
 
-        return layer(name, dtype, encode, long_name, fill, units=units, scale_factor=step, **more)
+        more = {"units": units, "scale_factor": step, "_FillValue": missing}
+        return layer(name, dtype, encode, long_name, missing, **more)
 
     known = {
         "intensity": layer(
@@ -147,7 +148,9 @@ def bin_layers(
         "incidence": quantized(
             "incidence_rad", "uint8", INCIDENCE_STEP_RAD, f"incidence {STRONGEST}", "rad", NO_INCIDENCE
         ),
-        "share": quantized("share", "uint8", 1 / 255, "share of the strongest body in the echo", "1"),
+        "share": quantized(
+            "share", "uint8", SHARE_STEP, "share of the strongest body in the echo", "1", NO_SHARE
+        ),
         "shadow": layer(
             "shadow",
             "uint8",

@@ -3,12 +3,14 @@
 import json
 import re
 import shutil
+import warnings
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from rosbags.highlevel import AnyReader
 
 import sonar_gl as sg
@@ -67,6 +69,16 @@ def test_xarray_reads_the_pings_of_a_simulator_within_the_stated_errors(small, r
     assert sg.Acoustics(**json.loads(data.attrs["acoustics"])) == requests.acoustics
     assert not [key for key, value in data.attrs.items() if isinstance(value, dict)]  # netCDF has none
     assert data.attrs["bodies"] == ["wall", "box_1", "floor"] and data.attrs["classes"] == ["fixed", "target"]
+
+
+def test_what_xarray_has_read_it_writes_again_as_it_was(small, tmp_path):
+    stored = small / "out" / "pings.zarr"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", xr.SerializationWarning)
+        xr.open_dataset(stored, group="level").to_zarr(tmp_path / "again.zarr")
+    before, again = (zarr.open_group(path, mode="r") for path in (stored / "level", tmp_path / "again.zarr"))
+    for name in ("intensity", "elevation_rad", "true_range_m", "incidence_rad", "share", "body_id", "shadow"):
+        assert again[name].dtype == before[name].dtype and np.array_equal(again[name], before[name])
 
 
 def test_a_ping_is_made_again_with_its_noise_from_what_is_stored(tmp_path):
@@ -142,8 +154,8 @@ def test_layers_boxes_and_masks_leave_out_what_the_noise_hides(tmp_path):
         quiet, noisy = (data[name].isel(ping=number) for name in ("quiet", "noisy"))
         arrays = quiet.intensity.values, quiet.azimuth_rad.values, quiet.range.values
         ping = sg.Ping(*arrays, **about)
-        # the share is stored in steps of 1/255
-        least, most = ((quiet.share.values + step / 510) * ping.intensity for step in (-1, 1))
+        # the share is stored in steps of 1/254
+        least, most = ((quiet.share.values + step / 508) * ping.intensity for step in (-1, 1))
         power, labels = receiver_power(ping, noise), noisy.body_id.values
         assert (labels[least > power] == quiet.body_id.values[least > power]).all()
         assert not labels[most < power].any() and np.mean((least <= power) & (power <= most)) < 0.01

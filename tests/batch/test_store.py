@@ -204,7 +204,7 @@ def test_the_number_of_the_last_body_and_class_fits(n_bodies, n_classes, dtypes)
         ("incidence", "incidence_rad", np.pi / 2, np.pi / 2 / 254),
         ("elevation", "elevation_rad", np.pi / 2, 1e-4),
         ("elevation", "elevation_rad", -np.pi / 2, 1e-4),
-        ("share", "share", 1.0, 1 / 255),
+        ("share", "share", 1.0, 1 / 254),
     ],
 )
 def test_the_greatest_number_is_told_from_a_missing_one(name, field, greatest, step):
