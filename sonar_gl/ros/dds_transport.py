@@ -53,6 +53,9 @@ LOOPBACK_NAMES = "lo", "lo0"
 MAX_INDEX = 32
 TAKEN_AT_ONCE = 64
 PAUSE_S = 0.1  # after a failure to receive
+# Of all transports of a process: the first topic of a type completes the type, and one that is made meanwhile may be
+# refused by Cyclone DDS without a reason (https://github.com/eclipse-cyclonedds/cyclonedds-python/issues/214).
+_making_topic = threading.Lock()
 LITTLE_ENDIAN = b"\x00\x01"  # of a message in XCDR1
 
 
@@ -213,7 +216,9 @@ class DdsTransport(Transport):
         """Return the writer of the topic by which nodes of ROS 2 know of one another."""
         dds, definition = self._dds, discovery_definition(self._distribution)
         topic = Topic(DISCOVERY_TOPIC, DISCOVERY_TYPE, "", definition, latched=True)
-        made = dds.topic.Topic(self._participant, DISCOVERY_TOPIC, _data_type(DISCOVERY_TYPE, definition))
+        with _making_topic:
+            data_type = _data_type(DISCOVERY_TYPE, definition)
+            made = dds.topic.Topic(self._participant, DISCOVERY_TOPIC, data_type)
         return dds.pub.DataWriter(self._publisher, made, qos=_qos(dds, topic, 1))
 
     def _announce(self) -> None:
@@ -245,18 +250,19 @@ class DdsTransport(Transport):
         dds = self._dds
         if self._participant is None:
             raise Error(f"the DDS transport must be open to carry {topic.name!r} (it was closed)")
-        data_type = _data_type(topic.msgtype, topic.definition)
-        if topic.name in self._topics:
-            known, made = self._topics[topic.name]
-            check_same_type(topic, known)
-            return made
-        try:
-            made = dds.topic.Topic(self._participant, f"rt/{topic.name.removeprefix('/')}", data_type)
-        except dds.core.DDSException as why:
-            raise Error(
-                f"{topic.name!r} must be a name that DDS allows, with a type that no other topic of that name "
-                f"has (Cyclone DDS refuses it: {_reason(why)})"
-            ) from None
+        with _making_topic:
+            data_type = _data_type(topic.msgtype, topic.definition)
+            if topic.name in self._topics:
+                known, made = self._topics[topic.name]
+                check_same_type(topic, known)
+                return made
+            try:
+                made = dds.topic.Topic(self._participant, f"rt/{topic.name.removeprefix('/')}", data_type)
+            except dds.core.DDSException as why:
+                raise Error(
+                    f"{topic.name!r} must be a name that DDS allows, with a type that no other topic of that name "
+                    f"has (Cyclone DDS refuses it: {_reason(why)})"
+                ) from None
         self._topics[topic.name] = topic, made
         return made
 

@@ -45,6 +45,7 @@ from tools import soak_ros
 from tools.soak_ros import Memory, Received, Soak, soak
 
 try:
+    from cyclonedds import topic as dds_topics
     from cyclonedds.builtin import (
         BuiltinDataReader,
         BuiltinTopicDcpsPublication,
@@ -781,6 +782,28 @@ def test_a_topic_has_one_type_and_a_name(open_transport, name):
         transport.advertise(topic_of("/two words"))
     with pytest.raises(Error, match="its definition is not understood"):
         transport.advertise(Topic(name, "std_msgs/msg/WString", "", "wstring data"))
+
+
+def test_transports_of_a_process_make_one_topic_at_a_time(open_transport, name, monkeypatch):
+    """Cyclone DDS refused one of two that were made at once, of one type, with a "non specific error"."""
+    transports, making, most = [open_transport() for _ in range(2)], [], []
+
+    def make(*arguments):
+        making.append(arguments)
+        most.append(len(making))
+        time.sleep(0.2)  # for the other thread to come
+        try:
+            return DdsTopic(*arguments)
+        finally:
+            making.pop()
+
+    monkeypatch.setattr(dds_topics, "Topic", make)
+    threads = [threading.Thread(target=one.advertise, args=(topic_of(name),)) for one in transports]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == [1, 1]
 
 
 def test_a_closed_transport_says_so(open_transport, name):
