@@ -200,8 +200,12 @@ class TestMoving:
         assert choice.level == 12 and ping.meta["sampling"] == vars(sampler.search.model.sampling_at(12))
         assert choice.coverage.share == pytest.approx(coverage.share, rel=0.02)
         assert ping.error_estimate == pytest.approx(2**1.3 * sampler.tolerance)
+        prepared, model = [], error_model.ErrorModel
+        make = model.coarser_stage
+        monkeypatch.setattr(model, "coarser_stage", lambda *more: prepared.append(more[1]) or make(*more))
         simulator.ping(sg.pose(0.002))
         assert sampler.choice.level == 12 and not calls  # a check costs more than a ping may
+        assert prepared == [sampler.resolution.stage]  # what the check needs, which would have to make it
 
     @pytest.mark.parametrize(("n_pings", "is_checked"), [(20, False), (5, True)])
     def test_a_check_waits_where_the_view_has_filled(self, simulator, n_pings, is_checked, monkeypatch):
