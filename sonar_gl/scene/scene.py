@@ -26,7 +26,7 @@ from sonar_gl.core.errors import Error, errors_at, nearest_of_many
 from sonar_gl.core.names import matching_names, names_of
 from sonar_gl.core.poses import MAX_POSITION_M, check_pose
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.scene.materials import material
+from sonar_gl.scene.materials import Material, material, materials
 from sonar_gl.scene.plume import Bubbles
 from sonar_gl.scene.primitives import Triangles
 from sonar_gl.scene.sonar_sensor import SonarSensor
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 ROUGHNESS_BOUNDS_RAD = 0.01, 0.5
 SPECKLE_SHAPE_BOUNDS = 0.05, 1e4
 DEFAULT_REFLECTIVITY = 0.5
+ECHO_DEFAULTS = {"reflectivity": DEFAULT_REFLECTIVITY, "specular": 0.0, "roughness_rad": 0.1}
 MAX_BODIES = 65535  # labels are uint16, and 0 is for bins without echo
 SEPARATOR = re.compile("(?=::)")  # between the names of a model and of what is in it
 
@@ -79,7 +80,8 @@ class Body(ArraysStayReadOnly):
         material's, or 0
     roughness_rad : 0.01..0.5, rms slope of the facets along any one direction, which sets the width of the specular
         (Kirchhoff) lobe; docs/acoustics.md has its formula. None: the material's, or 0.1
-    material : name of the material; it sets what is left out of `reflectivity`, `specular` and `roughness_rad`
+    material : name of the material; it sets what is left out of `reflectivity`, `specular` and `roughness_rad`, or all
+        of them where they are those of another material, as in `dataclasses.replace(body, material="glass")`
     speckle_shape : ν of the K distribution (Abraham, Lyons 2002), 0.05..1e4: where noise has speckle, a Gamma(ν, 1/ν)
         texture also multiplies the body's diffuse echo, as of a floor with few or patchy scatterers, and the contrast
         becomes √(1 + 2/ν); None for fully developed speckle
@@ -177,23 +179,36 @@ class Body(ArraysStayReadOnly):
         return len(vertices), len(faces)
 
     def _apply_material(self, location: str):
-        """Look up the material by name, and fill in the fields that are left out."""
+        """Look up the material by name, and fill in the fields that are left out.
+
+        `dataclasses.replace` gives what the previous material filled in: by another material it goes.
+        """
         by_name = isinstance(self.reflectivity, str)
         name = self.reflectivity if by_name else self.material
         with errors_at(location):
             found = None if name is None else material(name)
-        if by_name and self.material not in (None, found.name):
-            # `dataclasses.replace` by another material: the lobe of the previous one goes
-            self._set("specular", None)
-            self._set("roughness_rad", None)
+        echo = {key: getattr(self, key) for key in ECHO_DEFAULTS}
         if by_name:
-            self._set("reflectivity", None)
+            echo["reflectivity"] = None
+            if self.material not in (None, found.name):
+                echo = dict.fromkeys(ECHO_DEFAULTS)
+        elif found is not None and _is_of_material(echo):
+            echo = dict.fromkeys(ECHO_DEFAULTS)
         self._set("material", found and found.name)
-        defaults = {"reflectivity": DEFAULT_REFLECTIVITY, "specular": 0.0, "roughness_rad": 0.1}
-        for key, default in defaults.items():
-            if getattr(self, key) is None:
-                value = getattr(found, key, None)
-                self._set(key, default if value is None else value)
+        for key, value in _echo_of(found).items():
+            self._set(key, value if echo[key] is None else echo[key])
+
+
+def _is_of_material(echo: dict) -> bool:
+    """Return whether all that was given for the echo are the numbers of one material."""
+    are_numbers = all(isinstance(value, float) for value in echo.values())
+    return are_numbers and any(echo == _echo_of(one) for one in materials().values())
+
+
+def _echo_of(found: Material | None) -> dict[str, float]:
+    """Return what a body of a material, or of none, has where nothing else is given."""
+    of_material = {key: getattr(found, key, None) for key in ECHO_DEFAULTS}
+    return ECHO_DEFAULTS | {key: value for key, value in of_material.items() if value is not None}
 
 
 NO_OTHER_UNIT = ("", "none", "metre", "metres")

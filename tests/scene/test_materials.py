@@ -165,6 +165,13 @@ def test_a_material_sets_what_a_body_leaves_out():
     assert (
         lobe == (glass.reflectivity, glass.specular, glass.roughness_rad) and glass.specular != steel.specular
     )
+    by_material = replace(replace(whole, material="medium_sand"), material="Glass")
+    assert (by_material.reflectivity, by_material.specular, by_material.roughness_rad) == lobe
+    # what was given stays
+    assert (replace(rusty, material="glass").reflectivity, replace(smooth, material="glass").specular) == (
+        0.3,
+        0,
+    )
     plain = sg.Body("plate", box)
     assert (plain.reflectivity, plain.specular, plain.roughness_rad, plain.material) == (0.5, 0.0, 0.1, None)
     sand = replace(whole, reflectivity="sand")
