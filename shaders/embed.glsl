@@ -6,6 +6,9 @@
 #define plane_of sonar_gl_plane_of
 #define cos_times_range sonar_gl_cos_times_range
 #define lobe_times_range sonar_gl_lobe_times_range
+#define mean_lobe_times_range sonar_gl_mean_lobe_times_range
+#define BLUR SONAR_GL_BLUR
+#define MAX_TURN SONAR_GL_MAX_TURN
 #include "plane.glsl"
 
 uniform mat3 sonar_gl_lattice;  // of the sector: maps a pixel (1, i, j) to the u and v of its ray, and 1 / far
@@ -35,6 +38,7 @@ void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
     mat2 pixel_from_uv = inverse(mat2(sonar_gl_lattice[1].xy, sonar_gl_lattice[2].xy));
     vec2 slopes = vec2(dFdx(depth_inverse), dFdy(depth_inverse)) * pixel_from_uv;
     vec3 turned = vec3(-normal.z, -normal.x, normal.y);  // x ahead, y to port, z up
+    vec3 over_x = turned * depth_inverse, by_column = dFdx(over_x), by_row = dFdy(over_x);
     float echo = cos_times_range(plane_of(depth_inverse, slopes, at.xy), depth_inverse, at.xy, turned);
     sonar_gl_plane_echo = vec4(depth_inverse, slopes, reflectivity * echo);
     // No echo is negative: these numbers tell Framebuffer.read what is wrong.
@@ -45,7 +49,7 @@ void sonar_gl_write(vec3 normal, float reflectivity, uint body, vec2 lobe)
     else if (!(lobe.x == 0.0 || sonar_gl_is_within(lobe.x, 0.0, 1.0) && sonar_gl_is_within(lobe.y, 0.01, 0.5)))
         sonar_gl_plane_echo.w = -3.0;
     else if (lobe.x > 0.0)
-        sonar_gl_plane_echo.w += lobe_times_range(echo, depth_inverse, at.xy, lobe);
+        sonar_gl_plane_echo.w += mean_lobe_times_range(echo, depth_inverse, at.xy, lobe, over_x, by_column, by_row);
     sonar_gl_body = min(body, 65535u);
     gl_FragDepth = at.z / depth_inverse;
 }
@@ -60,3 +64,6 @@ void sonar_gl_write(vec3 normal, float reflectivity, uint body)
 #undef plane_of
 #undef cos_times_range
 #undef lobe_times_range
+#undef mean_lobe_times_range
+#undef BLUR
+#undef MAX_TURN

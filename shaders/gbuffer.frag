@@ -51,6 +51,11 @@ void main()
     vec2 slopes = vec2(-plane.y, plane.z);
 #if SHADING_NORMALS
     normal = v_normal + v_turn * (ray / depth_inverse - v_corner);
+#if SPECULAR
+    // the normal over x is linear over the image, as 1/x is
+    vec3 column = vec3(0.0, -u.y, v.y), row = vec3(0.0, -u.z, v.z), at_0 = v_normal - v_turn * v_corner;
+    vec3 by_column = at_0 * dot(plane, column) + v_turn * column, by_row = at_0 * dot(plane, row) + v_turn * row;
+#endif
 #endif
 #else
     float depth_inverse = gl_FragCoord.w;
@@ -58,13 +63,20 @@ void main()
     vec3 plane = plane_of(depth_inverse, slopes, at);
 #if SHADING_NORMALS
     normal = corner_normal;
+#if SPECULAR
+    vec3 over_x = normal * depth_inverse, by_column = dFdx(over_x), by_row = dFdy(over_x);
+#endif
 #endif
 #endif
     float echo = cos_times_range(plane, depth_inverse, at, normal);
     plane_echo = vec4(depth_inverse, slopes, v_reflectivity * echo);
 #if SPECULAR
     if (v_lobe.x > 0.0)
+#if SHADING_NORMALS
+        plane_echo.w += mean_lobe_times_range(echo, depth_inverse, at, v_lobe, normal * depth_inverse, by_column, by_row);
+#else
         plane_echo.w += lobe_times_range(echo, depth_inverse, at, v_lobe);
+#endif
 #endif
 #if BODY_NUMBERS
     body_id = v_body + 1u;

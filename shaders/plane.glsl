@@ -30,3 +30,31 @@ float lobe_times_range(float cos_times_range, float depth_inverse, vec2 at, vec2
     float range = length(vec3(1.0, at)) / depth_inverse;
     return specular_lobe(cos_times_range / range, lobe.x, lobe.y) * range;
 }
+
+// The same about a sample whose shading normal turns: the mean by a normal distribution of BLUR samples², which turns
+// normals by no more than MAX_TURN radians². Its twin in the engine cpu derives it.
+// normal: over x, on the ray; by_column, by_row: how that changes from sample to sample. vec3(0) for none
+const float BLUR = 0.25, MAX_TURN = 0.1;
+
+float mean_lobe_times_range(
+    float cos_times_range, float depth_inverse, vec2 at, vec2 lobe, vec3 normal, vec3 by_column, vec3 by_row)
+{
+    vec3 size = abs(normal);
+    float largest = max(max(size.x, size.y), size.z);
+    if (largest == 0.0)
+        return lobe_times_range(cos_times_range, depth_inverse, at, lobe);
+    // Squares of very long normals would overflow, those of very short ones vanish
+    float unit = 1.0 / max(largest, 1e-37);
+    vec3 m = normal * unit, a = by_column * unit, b = by_row * unit, d = normalize(vec3(1.0, -at.x, at.y));
+    float square = dot(m, m), range = length(vec3(1.0, at)) / depth_inverse;
+    vec3 across_a = a - dot(a, m) / square * m, across_b = b - dot(b, m) / square * m;
+    vec2 along_ray = vec2(dot(across_a, d), dot(across_b, d));
+    float turned = (dot(across_a, across_a) + dot(across_b, across_b) - dot(along_ray, along_ray)) / square;
+    vec2 triples = vec2(dot(d, cross(m, a)), dot(d, cross(m, b))) / square;
+    float c = clamp(cos_times_range / range, 1e-3, 1.0), c2 = c * c, s2 = lobe.y * lobe.y;
+    float blur = min(BLUR, MAX_TURN / max(turned, 1e-30));
+    float both = blur * dot(m, cross(a, b)) * c / (square * sqrt(square));
+    float determinant = s2 * (s2 + blur * turned) + both * both;
+    float exponent = -0.5 * (s2 * (1.0 - c2) + blur * dot(triples, triples)) / (c2 * determinant);
+    return lobe.x * exp(exponent) / (8.0 * sqrt(determinant) * c2 * c2 * c) * range;
+}
