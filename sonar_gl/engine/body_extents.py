@@ -151,6 +151,8 @@ class _Extents(NamedTuple):
     areas_m2 : (n,), the greatest silhouette
     lobes : (n,), the greatest of the specular lobe
     glint_shares : (n,), 1 of bodies without a lobe
+    mean_lobes : (n,), what a sphere returns per steradian of its outline by the lobe; 0 of bodies without a lobe, and
+        of those with a vertex without a shading normal
     by_face : (n,) bool, whether the reflectivity is one value a face
     are_round : (n,) bool, of `is_round`
     own, per_unit : of `GreatestReflectivity`
@@ -161,6 +163,7 @@ class _Extents(NamedTuple):
     areas_m2: np.ndarray
     lobes: np.ndarray
     glint_shares: np.ndarray
+    mean_lobes: np.ndarray
     by_face: np.ndarray
     are_round: np.ndarray
     own: np.ndarray
@@ -190,10 +193,16 @@ def _extents(bodies, specular: bool) -> _Extents:
         np.minimum(np.pi * radii_m**2, silhouettes_m2),  # inside that of the sphere
         np.array(lobes),
         np.array(shares),
+        np.array([body.specular * specular / 4 if _is_shaded(body) else 0.0 for body in bodies]),
         np.array([np.ndim(body.reflectivity) > 0 for body in bodies], bool),
         np.array(are_round, bool),
         *GreatestReflectivity.of(bodies),
     )
+
+
+def _is_shaded(body) -> bool:
+    """Return whether a body has shading normals all over, so that its lobe is a mean over each sample."""
+    return body.normals is not None and bool(np.any(body.normals, axis=1).all())
 
 
 @compiled
@@ -276,10 +285,21 @@ class BodyExtents:
         """How many bodies there are."""
         return len(self._columns.radii_m)
 
-    @property
-    def glint_shares(self) -> np.ndarray:
-        """(bodies + 1,) by number; of bodies without a lobe 1."""
-        return np.concatenate([[1.0], self._columns.glint_shares])
+    def glint_shares(self, echo: np.ndarray, greatest: np.ndarray, state: SceneState) -> np.ndarray:
+        """Return (bodies + 1,) by number, which share of the samples on a body tell how well its glint is met.
+
+        Those in it, by `glint_share`. Where a lobe is a mean over each sample, no glint is too narrow for the samples,
+        but one on too small a part of the body may be: as many count as a sphere of that echo would have, if these are
+        more. By its lobe a sphere returns |R|²/4 per steradian of its outline. Bodies without a lobe have 1.
+
+        echo : as of `BodyCounts`
+        greatest : as of `greatest_echo`
+        """
+        columns = self._columns
+        backscatter, diffuse = self.greatest_backscatter(state), self._greatest_diffuse(state)
+        mean = echo[1:] / np.maximum(greatest[1:], 1e-30) * backscatter
+        by_echo = (mean - diffuse) / np.where(columns.mean_lobes > 0.0, columns.mean_lobes, np.inf)
+        return np.concatenate([[1.0], np.clip(by_echo, columns.glint_shares, 1.0)])
 
     @property
     def by_face(self) -> np.ndarray:
@@ -290,6 +310,11 @@ class BodyExtents:
     def are_round(self) -> np.ndarray:
         """(bodies + 1,) bool by number, whether the surface is curved and faces all directions."""
         return np.concatenate([[False], self._columns.are_round])
+
+    @property
+    def are_smooth(self) -> np.ndarray:
+        """(bodies + 1,) bool by number, whether the body has a specular lobe."""
+        return np.concatenate([[False], self._columns.lobes > 0.0])
 
     def sphere_about(self, number: int) -> Sphere:
         """Return the sphere about a body, in its frame; number : of the body, from 1."""
@@ -333,5 +358,7 @@ class BodyExtents:
 
     def greatest_backscatter(self, state: SceneState) -> np.ndarray:
         """Return (bodies,) the most that each may return per steradian: reflectivity and the greatest lobe."""
-        greatest = GreatestReflectivity(self._columns.own, self._columns.per_unit)
-        return greatest.in_state(state) + self._columns.lobes
+        return self._greatest_diffuse(state) + self._columns.lobes
+
+    def _greatest_diffuse(self, state: SceneState) -> np.ndarray:
+        return GreatestReflectivity(self._columns.own, self._columns.per_unit).in_state(state)

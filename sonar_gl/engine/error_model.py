@@ -45,6 +45,7 @@ from sonar_gl.sonar.sector import SHEAR
 
 COARSER = 2  # times fewer samples: with 3 or 4 both lattices miss some rods before a floor
 DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's own echo
+SMOOTH_FACTOR = 2.0  # times as much of a body with a specular lobe: most of its echo is that of few samples
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
 # Near the outline of a round body the footprints of both lattices reach too far alike. Such errors count from where
 # these bodies return more than this share of the echo, towards all of it.
@@ -164,14 +165,8 @@ class ErrorModel:
         """
         extents = self._current_extents()
         found = count_bodies(view, len(self.bodies), self._reception(stage), is_counted)
-        # Most of the echo of a round smooth body is that of few samples, and none of it may have met the glint. Other
-        # bodies of one reflectivity err along their outlines, which the number of samples tells of.
-        shares = extents.glint_shares
-        counts = found._replace(
-            samples=found.samples * shares,
-            unevenness=found.unevenness * extents.by_face,
-            strands=found.strands * shares,
-        )
+        # bodies of one reflectivity err along their outlines, which the number of samples tells of
+        counts = found._replace(unevenness=found.unevenness * extents.by_face)
         return TriedView(stage, view, echo, counts)
 
     def judge(
@@ -182,7 +177,11 @@ class ErrorModel:
         tried : with samples of that level
         before : of the same ping with fewer samples, to compare with; None to draw one
         """
-        counts = self._counting_bodies(setup, tried)
+        greatest = self._current_extents().greatest_echo(
+            setup.state, setup.head_pose, self._reception(tried.stage)
+        )
+        tried = self._with_glints(setup, tried, greatest)
+        counts = self._counting_bodies(setup, tried, greatest)
         is_compared = counts & (tried.counts.samples < MAX_COMPARED_SAMPLES)
         if before is None:
             is_empty = tried.echo.total <= 0 and not tried.counts.samples.any()
@@ -195,6 +194,19 @@ class ErrorModel:
         stage = tried.stage
         estimates = whole.error, worst.error, worst.number
         return Judgement(Plan(stage.sampling, level, *estimates, steps <= 0, stage.fan.n_samples), steps)
+
+    def _with_glints(self, setup: PingSetup, tried: TriedView, greatest: np.ndarray) -> TriedView:
+        """Return a view of whose samples on smooth bodies only those count that tell how well a glint is met.
+
+        Most of the echo of a round smooth body is that of few samples, and none of them may have met the glint.
+
+        greatest : of `BodyExtents.greatest_echo`
+        """
+        found = tried.counts
+        shares = self._extents.glint_shares(found.echo, greatest, setup.state)
+        return tried._replace(
+            counts=found._replace(samples=found.samples * shares, strands=found.strands * shares)
+        )
 
     def _whole_error(self, tried: TriedView, before: TriedView, coarser: float) -> ErrorEstimate:
         """Estimate the share of the echo in wrong bins: by how the two lattices differ, and by what strips add to both.
@@ -227,6 +239,7 @@ class ErrorModel:
         # the error is all of the difference.
         runs_along = 2 * runs < before.counts.runs
         factor = DIFFERENCE_FACTOR * np.where(runs_along, 1.0, share_of_difference(coarser, BODY_ERROR_RATE))
+        factor = factor * np.where(self._extents.are_smooth, SMOOTH_FACTOR, 1.0)
         # Of the less of both: samples along a thin rod take too much of it, and would understate by how much.
         less = np.minimum(echo, before.counts.echo)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(less, 1e-30)
@@ -241,17 +254,19 @@ class ErrorModel:
         finer = (errors[worst] / (WORST_BODY * self.tolerance)) ** (1 / BODY_ERROR_RATE)
         return ErrorEstimate(float(errors[worst]), LEVELS_PER_HALF / 2 * math.log2(finer), worst)
 
-    def _counting_bodies(self, setup: PingSetup, tried: TriedView) -> np.ndarray:
+    def _counting_bodies(self, setup: PingSetup, tried: TriedView, greatest: np.ndarray) -> np.ndarray:
         """Return (bodies + 1,) bool by number: which have so strong an echo that their own error counts.
 
         The echo of a body that few samples met is not known: it counts if it could be strong where it lies, unless it
         is hidden.
+
+        greatest : of `BodyExtents.greatest_echo`
         """
         bodies, state, pose = self.bodies, setup.state, setup.head_pose
         sectors, (hits, echo, *_) = tried.view.sectors, tried.counts
         total, reception = echo.sum(), self._reception(tried.stage)
         counts = echo > MIN_ECHO_SHARE * total
-        greatest, least = self._extents.greatest_echo(state, pose, reception), MIN_ECHO_SHARE * total
+        least = MIN_ECHO_SHARE * total
         for body in np.flatnonzero(~counts & (hits < MIN_BODY_SAMPLES) & (greatest > least)):
             one = bodies[body - 1]
             # samples on a mirror whose glint lies beside the fan have no echo, and are not among those that met it

@@ -180,6 +180,32 @@ def test_a_glint_fills_a_part_of_round_bodies(mesh, share):
     assert glint_share(sg.Body("body", mesh).surface, 0.1) == pytest.approx(share)
 
 
+@pytest.mark.parametrize(
+    ("normals", "mean", "share"),
+    [
+        ("all", 1.0, 1.0),
+        ("all", 0.5, 0.5),
+        ("all", 0.1, 0.16),
+        ("all", 9.0, 1.0),
+        ("none", 1.0, 0.16),
+        ("some", 1.0, 0.16),
+    ],
+)
+def test_samples_show_a_lobe_that_is_a_mean_as_far_as_its_echo_is_that_of_a_sphere(normals, mean, share):
+    """A sphere returns |R|²/4 by its lobe, here some times as much; faces without normals have no mean."""
+    mesh = trimesh.creation.icosphere(4, 0.3)
+    of_vertices = None if normals == "none" else np.array(mesh.vertex_normals)
+    if normals == "some":
+        of_vertices[7] = 0.0
+    smooth = sg.Body("ball", mesh, sg.pose(5), 0.2, of_vertices, 0.8, 0.1)
+    rough = sg.Body("rough", mesh, sg.pose(5), 0.2)
+    extents = BodyExtents([smooth, rough], specular=True)
+    state = SceneState(np.array([smooth.pose] * 2), np.ones(2, bool))
+    greatest = np.array([0.0, 3.0, 3.0])  # of the reflectivity, and of the lobe face on
+    echo = greatest * (0.2 + mean * 0.8 / 4) / (0.2 + 0.8 / (8 * 0.1**2))
+    np.testing.assert_allclose(extents.glint_shares(echo, greatest, state), [1, share, 1], rtol=1e-6)
+
+
 def test_the_greatest_gain_and_pattern_are_those_within_the_span():
     rng, sonar = np.random.default_rng(0), replace(SONAR, n_bins=40)
     gain, table = rng.random(40), rng.random(201)

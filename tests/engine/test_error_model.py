@@ -13,7 +13,6 @@ from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.engine import error_model
 from sonar_gl.engine.body_counts import MIN_BODY_SAMPLES, BodyCounts
-from sonar_gl.engine.body_extents import glint_share
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning, sampling_at
 from sonar_gl.sonar.sector import SHEAR
@@ -419,7 +418,7 @@ def test_the_error_of_a_body_is_judged_by_what_its_samples_show(
 
 
 def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
-    """Of a round mirror the samples of its glint count alone; unevenness is that of bodies with a value a face."""
+    """Unevenness is that of bodies with a value a face."""
     made, box = trimesh.creation, trimesh.creation.box((1, 1, 1))
     ball = sg.Body("ball", made.icosphere(4, 0.5), sg.pose(5, 1), 0.1, specular=0.5, roughness_rad=0.1)
     bodies = [ball, sg.Body("striped", box, sg.pose(5, -1), np.linspace(0.1, 0.9, 12))]
@@ -435,17 +434,7 @@ def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
             louder = model.draw(replace(setup, gain=2 * setup.gain), 8)
             silent = shown._replace(counts=BodyCounts(*np.zeros((6, 4)))._replace(samples=np.full(4, 1e3)))
             judged = model.judge(setup, 8, silent, silent)
-    share = np.array([1.0, glint_share(ball.surface, 0.1), 1.0, 1.0])
-    assert share[1] < 0.2
-    expected = (
-        met.samples * share,
-        met.echo,
-        met.of_strips,
-        met.unevenness * [0, 0, 1, 0],
-        met.strands * share,
-        met.runs,
-    )
-    np.testing.assert_array_equal(shown.counts, expected)
+    np.testing.assert_array_equal(shown.counts, met._replace(unevenness=met.unevenness * [0, 0, 1, 0]))
     assert louder.echo.total == pytest.approx(2 * shown.echo.total, rel=1e-5)
     assert judged.steps < 0  # where none counts, as of bubbles alone, the whole decides
 
@@ -489,6 +478,33 @@ def worst_beside_near(other, samples, share, acoustics=IDEAL, **request):
             met = BodyCounts(np.array([0, 1e6, samples]), of_both, of_both, zeros, zeros, zeros)
             before = view._replace(counts=met._replace(echo=of_near))
             return model.judge(setup, 8, view._replace(counts=met), before).plan.worst_body
+
+
+@pytest.mark.parametrize(
+    ("strands", "before", "error"),
+    [
+        (0.0, 1.0, 1.8 * (1 + 8 / 144) / 144**0.75),
+        (400.0, 1.0, math.sqrt(64 / 12) * 1.8 * (1 + 8 / 144) / 144**0.75),
+        (0.0, 0.7, 2 * SHOWN * 0.3 / 0.7),
+    ],
+    ids=["by samples", "by strands", "by the difference"],
+)
+def test_a_smooth_body_is_judged_by_its_glint(strands, before, error):
+    """Of a ball of a roughness of 0.1, whose faces are flat, 0.16 of the samples count; a difference counts twice."""
+    mirror = sg.Body("mirror", trimesh.creation.icosphere(4, 0.5), sg.pose(5, 1), 0.1, None, 0.5, 0.1)
+    acoustics = sg.Acoustics("ideal", specular=True)
+    with sg.Simulator(sg.Scene([NEAR, mirror]), SONAR, acoustics, tolerance=0.02) as simulator:
+        run = simulator.run
+        model, setup = run.sampler.search.model, run.set_up(PingRequest(np.eye(4)))
+        with run.drawing():
+            view = model.draw(setup, 8)
+            zeros, echo = np.zeros(3), np.array([0, 1, 1.0])
+            met = BodyCounts(np.array([0, 1e6, 900]), echo, echo, zeros, np.array([0, 0, strands]))
+            other = view._replace(counts=met._replace(echo=np.array([0, 1, before])))
+            coarse = model.coarser_stage(view.stage)
+            plan = model.judge(setup, 8, view._replace(counts=met), other._replace(stage=coarse)).plan
+    assert plan.worst_body == 2
+    assert plan.worst_body_estimate == pytest.approx(error, rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -376,13 +376,18 @@ def test_more_bodies_than_a_scene_holds_are_refused(monkeypatch):
 
 
 def test_the_extents_of_added_bodies_are_those_of_all_at_once():
-    bodies = [*(make() for make in ALL), sg.Body("shiny", BALL, sg.pose(4), 0.2, specular=0.5)]
+    shiny = sg.Body("shiny", BALL, sg.pose(4), 0.2, specular=0.5)
+    bodies = [*(make() for make in ALL), shiny, replace(shiny, normals=BALL.vertex_normals)]
     state = SceneState(np.array([body.pose for body in bodies]), np.ones(len(bodies), bool))
     expected, extents = BodyExtents(bodies, specular=True), BodyExtents([], specular=True)
     for body in bodies:
         extents.add([body])
     assert extents.n_bodies == len(bodies)
-    np.testing.assert_array_equal(extents.glint_shares, expected.glint_shares)
+    some = np.linspace(0.0, 0.3, len(bodies) + 1), np.ones(len(bodies) + 1), state
+    shares = expected.glint_shares(*some)
+    assert shares[-2] < 1 and (np.delete(shares, -2) == 1).all()
+    np.testing.assert_array_equal(extents.glint_shares(*some), shares)
+    np.testing.assert_array_equal(extents.are_smooth, [*[False] * (len(bodies) - 1), True, True])
     np.testing.assert_array_equal(extents.greatest_backscatter(state), expected.greatest_backscatter(state))
     reception = Reception(SONAR, 0.0, 0.2, False, np.ones(SONAR.n_bins), np.zeros(0), None)
     echo = expected.greatest_echo(state, POSE, reception)
