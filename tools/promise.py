@@ -4,6 +4,7 @@
     python -m tools.promise --worlds 20 --first 500
     python -m tools.promise --worlds 20 --alone     # samples chosen from each ping alone, as in batches
     python -m tools.promise --lone 20               # of a sphere, a pile, a capsule or an ellipsoid in open water
+    python -m tools.promise --smooth 20             # of a small smooth body with a specular lobe on a floor
     python -m tools.promise --pools 20              # of the sum of direct and multipath echoes
 
 A world (`tests/support/worlds.py`) is a scene, a sonar and a pose by a seed: boxes, cylinders, thin rods,
@@ -34,7 +35,7 @@ import sonar_gl as sg
 from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.sonar.sampling import WORST_BODY, level_of, sampling_at
-from tests.support.worlds import random_lone_body, random_pool, random_world
+from tests.support.worlds import random_lone_body, random_pool, random_smooth_body, random_world
 from tools import internals
 from tools.bench import harness
 
@@ -114,7 +115,7 @@ class World:
 
     def __init__(self, seed: int, truth_error: float = TRUTH_ERROR, make=random_world):
         self.seed, (self._scene, self.sonar, self.pose) = seed, make(seed)
-        self._acoustics = sg.Acoustics.physical() if seed % 2 else sg.Acoustics.ideal()
+        self._acoustics = sg.Acoustics.physical() if seed % 2 else sg.Acoustics("ideal", specular=True)
         what = self._scene, self.sonar, self.pose, self._acoustics
         self.truth = sg.reference_ping(*what, truth_error, MOST_RAYS)
         self.uncertainty = Errors(self.truth.meta["difference"] / 2, self.truth.meta["body_difference"] / 2)
@@ -301,18 +302,21 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m tools.promise", description=__doc__.partition("\n")[0])
     parser.add_argument("--worlds", type=int, default=100, help="how many with an echo")
     parser.add_argument("--lone", type=int, help="how many with a single round body, in place of worlds")
+    parser.add_argument("--smooth", type=int, help="how many with a small smooth body, in place of worlds")
     parser.add_argument("--pools", type=int, help="how many with multipath, in place of worlds")
     parser.add_argument("--first", type=int, default=1000, help="the first seed")
     parser.add_argument("--alone", action="store_true", help="have each ping choose its samples alone")
     options = parser.parse_args()
-    if options.pools and (options.alone or options.lone):
-        parser.error("--alone and --lone are of worlds, not of --pools")
-    make = random_lone_body if options.lone else random_world
+    if options.pools and (options.alone or options.lone or options.smooth):
+        parser.error("--alone, --lone and --smooth are of worlds, not of --pools")
+    make = random_lone_body if options.lone else random_smooth_body if options.smooth else random_world
     try_ping = try_alone if options.alone else try_plan_and_cost
     outcomes, left_out, seed, first = [], [], options.first, options.first
     with warnings.catch_warnings(), contextlib.suppress(KeyboardInterrupt):  # Ctrl-C prints the table so far
         warnings.simplefilter("ignore", UserWarning)
-        while len({o.seed for o in outcomes}) < (options.pools or options.lone or options.worlds):
+        while len({o.seed for o in outcomes}) < (
+            options.pools or options.lone or options.smooth or options.worlds
+        ):
             tried = try_pool(seed) if options.pools else try_tolerances(World(seed, make=make), try_ping)
             outcomes += tried or []
             left_out += [seed] if tried is None else []

@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 
 import sonar_gl as sg
+from sonar_gl.scene import primitives
 
 
 def random_rotation(rng) -> np.ndarray:
@@ -116,6 +117,43 @@ def random_lone_body(seed: int):
     pose = sg.pose(yaw=rng.uniform(-0.3, 0.3)) @ sg.pose(rng.uniform(1.5, 9), 0.0, rng.uniform(-0.3, 0.3))
     pose = pose @ sg.pose(0, 0, 0, *is_turned * rng.uniform(-0.8, 0.8, 2))
     return sg.Scene([sg.Body("body", mesh, pose)], name=f"lone body {seed}"), sonar, np.eye(4)
+
+
+def _bottle(radius_m: float, length_m: float) -> tuple[trimesh.Trimesh, np.ndarray]:
+    """Return a bottle about the z axis, and its shading normals."""
+    z = np.linspace(0, 1, 60)
+    radii = np.interp(z, [0.0, 0.03, 0.55, 0.75, 1.0], [0.92, 1.0, 1.0, 0.4, 0.35])
+    radii = np.convolve(np.pad(radii, 3, mode="edge"), np.ones(7) / 7, mode="valid")  # without edges
+    side = np.column_stack([radii * radius_m, z * length_m])
+    mesh = trimesh.creation.revolve(np.vstack([[0, 0], side, [0, length_m]]), sections=48)
+    return mesh, mesh.vertex_normals
+
+
+def random_smooth_body(seed: int):
+    """Return (scene, sonar, pose) of a seed: a smooth sphere, pipe, capsule, ellipsoid or bottle on a floor of sand."""
+    rng = np.random.default_rng([seed, 79])
+    sonar = sg.Sonar("small", 900e3, 128, 400, 60.0, 20.0, 1.0, 0.5, 15.0)
+    radius_m, length_m = 10 ** rng.uniform(-1.5, -0.7), rng.uniform(0.2, 1.2)
+    mesh, normals = (
+        primitives.sphere(radius_m),
+        primitives.cylinder(radius_m, length_m),
+        primitives.capsule(radius_m, length_m),
+        primitives.ellipsoid(radius_m * rng.uniform(0.5, 2.0, 3)),
+        _bottle(radius_m, 6 * radius_m),
+    )[rng.integers(5)]
+    turn = (  # upright, lying, or any other way
+        sg.pose(0, 0, 0, *rng.normal(0, 0.1, 2)),
+        sg.pose(yaw=rng.uniform(-np.pi, np.pi)) @ sg.pose(pitch=np.pi / 2),
+        random_rotation(rng),
+    )[rng.integers(3)]
+    distance_m, azimuth_rad = rng.uniform(2.0, 12.0), rng.uniform(-0.4, 0.4)
+    height_m = distance_m * rng.uniform(0.03, 0.15)
+    lowest_m = (mesh.vertices @ turn[:3, :3].T)[:, 2].min()
+    place = distance_m * np.cos(azimuth_rad), distance_m * np.sin(azimuth_rad), -height_m - lowest_m
+    material = str(rng.choice(["glass", "steel", "aluminium"]))
+    floor = sg.Body("floor", trimesh.creation.box((100, 100, 1)), sg.pose(0, 0, -height_m - 0.5), "sand")
+    body = sg.Body("body", mesh, sg.pose(*place) @ turn, material, normals)
+    return sg.Scene([floor, body], name=f"smooth body {seed}"), sonar, sg.pose(pitch=0.1)
 
 
 POOL_SONARS = (
