@@ -31,8 +31,8 @@ float lobe_times_range(float cos_times_range, float depth_inverse, vec2 at, vec2
     return specular_lobe(cos_times_range / range, lobe.x, lobe.y) * range;
 }
 
-// The same about a sample whose shading normal turns: the mean by a normal distribution of BLUR samples², which turns
-// normals by no more than MAX_TURN radians². Its twin in the engine cpu derives it.
+// The same about a sample whose shading normal turns: widened to BLUR samples², which turns normals by no more than
+// MAX_TURN radians². Its twin in the engine cpu derives it.
 // normal: over x, on the ray; by_column, by_row: how that changes from sample to sample. vec3(0) for none
 const float BLUR = 0.25, MAX_TURN = 0.1;
 
@@ -49,12 +49,13 @@ float mean_lobe_times_range(
     float square = dot(m, m), range = length(vec3(1.0, at)) / depth_inverse;
     vec3 across_a = a - dot(a, m) / square * m, across_b = b - dot(b, m) / square * m;
     vec2 along_ray = vec2(dot(across_a, d), dot(across_b, d));
-    float turned = (dot(across_a, across_a) + dot(across_b, across_b) - dot(along_ray, along_ray)) / square;
+    vec2 turn = (vec2(dot(across_a, across_a), dot(across_b, across_b)) - along_ray * along_ray) / square;
     vec2 triples = vec2(dot(d, cross(m, a)), dot(d, cross(m, b))) / square;
     float c = clamp(cos_times_range / range, 1e-3, 1.0), c2 = c * c, s2 = lobe.y * lobe.y;
-    float blur = min(BLUR, MAX_TURN / max(turned, 1e-30));
-    float both = blur * dot(m, cross(a, b)) * c / (square * sqrt(square));
-    float determinant = s2 * (s2 + blur * turned) + both * both;
-    float exponent = -0.5 * (s2 * (1.0 - c2) + blur * dot(triples, triples)) / (c2 * determinant);
+    vec2 blur = max(BLUR - s2 / max(turn, 1e-30), 0.0);
+    blur *= min(1.0, MAX_TURN / max(dot(blur, turn), 1e-30));
+    float both = dot(m, cross(a, b)) * c / (square * sqrt(square));
+    float determinant = s2 * (s2 + dot(blur, turn)) + blur.x * blur.y * both * both;
+    float exponent = -0.5 * (s2 * (1.0 - c2) + dot(blur, triples * triples)) / (c2 * determinant);
     return lobe.x * exp(exponent) / (8.0 * sqrt(determinant) * c2 * c2 * c) * range;
 }

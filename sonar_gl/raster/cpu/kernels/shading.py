@@ -14,9 +14,9 @@ from sonar_gl.raster.cpu.kernels.tables import FLAT_DIFFUSE, NOTHING, ROW_SLOPE,
 FAINT_LOBE = 1e-2
 NEARLY = 1.0 - 1e-6  # times what is compared: well above its rounding
 FAINTEST = -60.0  # exponent of a lobe that counts: e^-60 is 260 dB below its peak
-# Where shading normals turn from sample to sample, a lobe is the mean about the sample by a normal distribution of this
-# variance, samples²: samples a standard deviation of 1/2 apart find its sum to 3 % wherever it lies between them. It
-# turns normals by no more than so many radians², within which those of a body that few samples meet are found.
+# Where shading normals turn from sample to sample, a lobe is widened to a normal distribution of this variance,
+# samples², if it is narrower: with a deviation of 1/2, the sum of samples finds it to 3 % wherever it lies between
+# them. It turns normals by no more than so many radians², as far as those of a body that few samples meet turn.
 BLUR, MAX_TURN = 0.25, 0.1
 
 
@@ -96,8 +96,9 @@ def mean_lobe_times_range(normal, ray, echo, range_m, strength, slope):
     """Return the specular lobe times range about a sample whose shading normal turns, from cos θ times range.
 
     The mean of the lobe by normals of a normal distribution is the lobe of a greater and uneven roughness, of variance
-    Σ = s² + BLUR (a aᵀ + b bᵀ), for normals that turn by a from column to column and by b from row to row. With t the
-    slope of the surface about the ray, |t| = tan θ, s⁻² exp(−t²/(2s²)) becomes |Σ|^−½ exp(−tᵀ Σ⁻¹ t / 2).
+    Σ = s² + A a aᵀ + B b bᵀ, for normals that turn by a from column to column and by b from row to row; A is
+    BLUR − s²/a², or 0, as a lobe is s/|a| samples wide anyway. With t the slope of the surface about the ray,
+    |t| = tan θ, s⁻² exp(−t²/(2s²)) becomes |Σ|^−½ exp(−tᵀ Σ⁻¹ t / 2).
 
     normal : (9,) row of `normal_forms`, then column and row of the sample
     ray : its u and v
@@ -112,22 +113,24 @@ def mean_lobe_times_range(normal, ray, echo, range_m, strength, slope):
     square, ray2 = mx * mx + my * my + mz * mz, 1.0 + u * u + v * v
     if not square > 0.0:  # or NaN: the echo is that of the plane
         return lobe_times_range(echo, range_m, strength, slope)
-    turned, of_slope = 0.0, 0.0  # |a|² + |b|² and |t × a|² + |t × b|², across the ray
+    cosine, s2 = min(max(echo / range_m, 1e-3), 1.0), np.float64(slope) * slope
+    turned, of_slope, both = 0.0, 0.0, 1.0  # A |a|² + B |b|² and A |t × a|² + B |t × b|², across the ray; A B
     for k in range(1, 3):
         fx, fy, fz = forms[k], forms[3 + k], forms[6 + k]
         along = (mx * fx + my * fy + mz * fz) / square
         ax, ay, az = fx - along * mx, fy - along * my, fz - along * mz
         of_ray = ax - ay * u + az * v
-        turned += (ax * ax + ay * ay + az * az - of_ray * of_ray / ray2) / square
+        turn = (ax * ax + ay * ay + az * az - of_ray * of_ray / ray2) / square
+        blur = max(BLUR - s2 / max(turn, 1e-30), 0.0)
+        turned, both = turned + blur * turn, both * blur
         triple = my * fz - mz * fy - u * (mz * fx - mx * fz) + v * (mx * fy - my * fx)
-        of_slope += triple * triple / (ray2 * square * square)
+        of_slope += blur * triple * triple / (ray2 * square * square)
     triple = mx * (forms[4] * forms[8] - forms[7] * forms[5])
     triple += my * (forms[7] * forms[2] - forms[1] * forms[8])
     triple += mz * (forms[1] * forms[5] - forms[4] * forms[2])
-    cosine, s2 = min(max(echo / range_m, 1e-3), 1.0), np.float64(slope) * slope
-    blur, cosine2 = min(BLUR, MAX_TURN / max(turned, 1e-30)), cosine * cosine
-    determinant = s2 * (s2 + blur * turned) + (blur * triple) ** 2 * cosine2 / square**3
-    exponent = -0.5 * (s2 * (1.0 - cosine2) + blur * of_slope) / (cosine2 * determinant)
+    less, cosine2 = min(1.0, MAX_TURN / max(turned, 1e-30)), cosine * cosine
+    determinant = s2 * (s2 + less * turned) + both * (less * triple) ** 2 * cosine2 / square**3
+    exponent = -0.5 * (s2 * (1.0 - cosine2) + less * of_slope) / (cosine2 * determinant)
     if exponent < FAINTEST:
         return 0.0
     return (
