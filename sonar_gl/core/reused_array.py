@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-# It is made so many times larger than needed: the system provides memory only for what is used. It is replaced by a
-# smaller one where so many uses in a row have needed less than one of MAX_ROWS_PER_NEEDED rows, or else coarse pings
-# would keep the memory of a fine one; not below MIN_KEPT rows. The sectors of a ping take turns, and those of side
-# lobes need few rows: a smaller array at once would be replaced by a larger one in each ping. Under "When memory is
-# given back" docs/architecture.md says why there are other rules, too.
-RESERVE, MAX_ROWS_PER_NEEDED, MIN_KEPT, USES_BEFORE_SMALLER = 2, 4, 1 << 16, 256
+# It has room for more than needed, so that finer samples use the memory of the coarser ones, and need new memory for
+# the rest alone: the system provides memory only for what is used. Where the room is 4 MiB or more, it does so in pages
+# of 2 MB, which NumPy asks for: an array that needs less than LARGE_BYTES has room for SMALL_ROOM_BYTES.
+RESERVE, LARGE_BYTES, SMALL_ROOM_BYTES, LARGE_ROOM_BYTES = 2, 2_000_000, 4_000_000, 64_000_000
+# It is replaced by a smaller one where so many uses in a row have needed less than one of MAX_ROWS_PER_NEEDED rows, or
+# else coarse pings would keep the memory of a fine one; not below MIN_KEPT rows. The sectors of a ping take turns, and
+# those of side lobes need few rows: a smaller array at once would be replaced by a larger one in each ping. Under "When
+# memory is given back" docs/architecture.md says why there are other rules, too.
+MAX_ROWS_PER_NEEDED, MIN_KEPT, USES_BEFORE_SMALLER = 4, 1 << 16, 256
 MAX_KEPT_ROWS = 1 << 18
+PAGE_BYTES = 4096
 
 
 class ReusedArray:
@@ -21,26 +27,48 @@ class ReusedArray:
 
     def __init__(self, dtype, *row: int):
         self._array = np.empty((0, *row), dtype)
+        self._n_ready, self._n_last = 0, 0  # rows that have memory, and that were asked for last
         self._most, self._n_uses = 0, 0  # rows asked for, and how often, since most of it was in use
 
     def __len__(self) -> int:
         return len(self._array)
 
+    @property
+    def _size(self) -> int:
+        """Rows that have memory, or may soon."""
+        return min(len(self._array), RESERVE * self._n_ready)
+
+    def _make(self, count: int) -> None:
+        """Make an array with room for so many rows and more."""
+        row_bytes = self._array.dtype.itemsize * math.prod(self._array.shape[1:])
+        room_bytes = SMALL_ROOM_BYTES if count * row_bytes < LARGE_BYTES else LARGE_ROOM_BYTES
+        n_rows = max(RESERVE * count, room_bytes // row_bytes)
+        self._array = np.empty((n_rows, *self._array.shape[1:]), self._array.dtype)
+        self._n_ready = self._most = self._n_uses = 0
+
     def take(self, count: int) -> np.ndarray:
         """Return an array of so many rows; what was in it may be there still."""
-        size = len(self._array)
-        if size <= MIN_KEPT or size <= MAX_ROWS_PER_NEEDED * count:
+        if self._size <= MIN_KEPT or self._size <= MAX_ROWS_PER_NEEDED * count:
             self._most = self._n_uses = 0
         else:
             self._most, self._n_uses = max(self._most, count), self._n_uses + 1
-        if size < count or self._n_uses > USES_BEFORE_SMALLER:
-            self._array = np.empty(
-                (RESERVE * max(count, self._most), *self._array.shape[1:]), self._array.dtype
-            )
-            self._most = self._n_uses = 0
+        if len(self._array) < count or self._n_uses > USES_BEFORE_SMALLER:
+            self._make(max(count, self._most))
+        self._n_ready, self._n_last = max(self._n_ready, count), count
         return self._array[:count]
+
+    def prepare(self, growth: float, share: float) -> None:
+        """Have memory ready before `growth` times as many rows as the last ones are taken; a share of what is missing.
+
+        Where there is no room for them it does nothing: `take` will make another array. What was taken stays as it is.
+        """
+        count = math.ceil(growth * self._n_last)
+        first, end = self._n_ready, self._n_last + math.ceil(share * (count - self._n_last))
+        if first < end and count <= len(self._array):
+            self._array[first:end].reshape(-1).view(np.uint8)[::PAGE_BYTES] = 0
+            self._n_ready = end
 
     def drop_large(self) -> None:
         """Drop an array of more than MAX_KEPT_ROWS rows; what was taken stays valid."""
-        if len(self._array) > MAX_KEPT_ROWS:
-            self._array = self._array[:0].copy()
+        if self._size > MAX_KEPT_ROWS:
+            self._array, self._n_ready = self._array[:0].copy(), 0

@@ -39,6 +39,10 @@ FILTERED_BIN, BARE_BIN, COVERED_BIN = 0.37, 0.02, 1.85
 # memory takes longer than the ping.
 MOST_COST, MOST_FULL_COST, MOST_FINER_COST, RECENT = 2.3, 2.0, 1.65, 100
 MOST_MORE, FEW_SAMPLES = 2.1, 50_000
+# Before finer samples are drawn their memory is used for the first time, of no more samples at a time than this times
+# the usual cost. That of a sample, with its share of the view that it is compared with, takes about as long as two
+# samples that met a body.
+MOST_NEW = 0.2
 LIKE_COST = 0.1  # share by which a ping may cost more or less than was expected
 # So many pings with echo, each near the one before, are a loop that must not stall. Fewer are those of a program that
 # looks at bodies now and then, or has others in each ping; or of a loop that has just begun.
@@ -73,8 +77,10 @@ class Choice:
     last_check : LastCheck; None before the first ping
     planned : `_view_of` each ping for which the samples are fixed; None while they are chosen ping by ping
     is_due : the error is to be estimated as soon as that costs no more than a ping may
-    next_level : level that pings change to once the stages of its samples have been made; None for the same one
-    is_half_made : the first of these two stages has been made
+    next_level : level that pings change to once the stages of its samples have been made, and have memory; None for the
+        same one
+    n_made : how many of these two stages have been made
+    share : of their new memory that is ready
     """
 
     level: int
@@ -85,7 +91,8 @@ class Choice:
     planned: frozenset[int] | None = None
     is_due: bool = False
     next_level: int | None = None
-    is_half_made: bool = False
+    n_made: int = 0
+    share: float = 0.0
 
     @property
     def is_planned(self) -> bool:
@@ -180,13 +187,7 @@ class AdaptiveSampling:
         costs = self.history.costs
         is_first_echo = choice.last_check.total <= 0 < total and len(costs) < LOOP_PINGS
         if choice.next_level is not None and not is_first_echo:
-            # one stage in a ping that does nothing else, since those of fine samples take as long as a ping
-            stage = self._model.stage_at(choice.next_level)
-            if choice.is_half_made:
-                self._model.coarser_stage(stage)
-                self.choice = replace(choice, level=choice.next_level, next_level=None)
-            else:
-                self.choice = replace(choice, is_half_made=True)
+            self.choice = self._prepared(choice, drawn)
             return None
         if not (resolution.check or is_first_echo or self._can_check(choice.level, received.coverage, costs)):
             self.choice = choice if choice.is_due else replace(choice, is_due=True)
@@ -211,6 +212,26 @@ class AdaptiveSampling:
         else:
             self.choice = self._moved(checked, choice.level + judged.steps)
         return None
+
+    def _prepared(self, choice: Choice, drawn: DrawnPing) -> Choice:
+        """Return a choice that is a step nearer to its next level.
+
+        A step is one of its two stages, since those of fine samples take as long as a ping, or part of their memory.
+        """
+        stage = self._model.stage_at(choice.next_level)
+        if choice.n_made == 0:
+            return replace(choice, n_made=1)
+        coarser = self._model.coarser_stage(stage)
+        # by samples alone: how fine pings are must not depend on what memory was kept of finer ones
+        times_more = stage.fan.n_samples / drawn.resolution.stage.fan.n_samples - 1
+        n_new, most = drawn.view.n_samples * times_more, MOST_NEW * _usual(self.history.costs)
+        share = choice.share if choice.n_made < 2 else choice.share + most / max(n_new, most)
+        is_ready = n_new <= most or share >= 1.0
+        for one in (stage, coarser):
+            one.renderer.prepare(1.0 if is_ready else share)
+        if is_ready:
+            return replace(choice, level=choice.next_level, next_level=None)
+        return replace(choice, n_made=2, share=share)
 
     def _is_kept(self, choice: Choice, judged: Judgement) -> bool:
         """Return whether pings keep their level: finer samples are not needed, or do not fit, or half would not do."""
@@ -248,7 +269,7 @@ class AdaptiveSampling:
         # coarser where none is finer: the next finer level costs less than the check that asked for it
         level = (finer or [wanted])[-1]
         finest = self.search.finest if level < choice.level else choice.finest
-        return replace(choice, next_level=level, is_half_made=False, finest=finest, is_due=True)
+        return replace(choice, next_level=level, n_made=0, share=0.0, finest=finest, is_due=True)
 
     def _cost(self, level: int, coverage: Coverage) -> float:
         """Return about what a ping costs without a check of its error, in samples that met a body."""

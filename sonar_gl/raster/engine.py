@@ -55,6 +55,13 @@ class Renderer(Protocol):
         keep_last : the samples of the last call stay valid until the next one
         """
 
+    def prepare(self, share: float) -> None:
+        """Have the memory of a view ready before it is drawn, where new memory takes time: a share of what is missing.
+
+        As if bodies filled as much of the fan as in the last view that was drawn into the workspace, whose samples stay
+        valid.
+        """
+
 
 class RasterEngine(Protocol):
     """Draws the bodies of a scene.

@@ -1,5 +1,7 @@
 """Arrays that are used again: when they become larger, when smaller."""
 
+import resource
+
 import numpy as np
 import pytest
 
@@ -55,3 +57,36 @@ def test_large_arrays_are_dropped_where_asked_and_what_was_taken_stays(array):
     assert len(array) == 0
     array.take(MANY)[:] = 4.0
     assert (taken == 3.0).all()
+
+
+def page_faults(work) -> int:
+    """Return how many pages of memory the system provides while `work` is done."""
+    before = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+    work()
+    return resource.getrusage(resource.RUSAGE_THREAD).ru_minflt - before
+
+
+@pytest.mark.parametrize(("share", "growth"), [(1.0, 3.0), (0.5, 2.0)])
+def test_memory_that_was_made_ready_needs_no_more_pages(array, share, growth):
+    """Of 10 MB more, which are 5 large pages or 2560 small ones; the same again needs none."""
+    array.take(MANY)[:] = 3.0
+    assert page_faults(lambda: array.prepare(3.0, share)) > 2
+    assert page_faults(lambda: array.prepare(3.0, share)) <= 1
+    taken = array.take(int(growth * MANY))
+    assert page_faults(lambda: taken.fill(4.0)) <= 2
+
+
+def test_what_was_taken_stays_as_more_memory_is_made_ready(array):
+    taken = array.take(MANY)
+    taken[:] = 3.0
+    for share in (0.3, 0.6, 1.0):
+        array.prepare(2.0, share)
+    assert (taken == 3.0).all()
+    assert np.shares_memory(taken, array.take(2 * MANY))  # finer samples use the memory of the coarser ones
+
+
+def test_no_memory_is_made_ready_where_there_is_no_room(array):
+    size = len(array)
+    array.prepare(1.1 * size / MANY, 1.0)
+    assert len(array) == size
+    assert array.take(2 * size).shape == (2 * size, 4)

@@ -134,6 +134,28 @@ class TestMoving:
         assert len(made) == (n_made or [0])[-1]
         assert [one.category for one in caught] == [ToleranceWarning] * (steps > 0 and level == finest)
 
+    @pytest.mark.parametrize("share", [0.4, 1.01])
+    def test_finer_samples_get_their_memory_in_parts(self, simulator, share, monkeypatch):
+        """New memory of as many samples at a time as 0.2 of a usual ping costs, after pings that make both stages."""
+        sampler, shares = simulator.run.sampler, []
+        level, setup = sampler.choice.level, simulator.run.set_up(PingRequest(np.eye(4)))
+        with simulator.run.drawing():
+            coarse, fine = (sampler.search.model.stage_at(n) for n in (level, level + 3))
+            (view,) = coarse.draw([setup.head_pose], [setup.state])
+        n_new = view.n_samples * (fine.fan.n_samples / coarse.fan.n_samples - 1)
+        assert n_new > 0
+        monkeypatch.setattr(type(fine.renderer), "prepare", lambda _, share: shares.append(share))
+        sampler.choice = replace(sampler.choice, next_level=level + 3, is_due=True)
+        sampler.history = sampler.history._replace(costs=(share * n_new / 0.2,) * 99)
+        for number, _ in enumerate(
+            expected := [[], [0.0], [0.4], [0.8], [1.0]] if share < 1 else [[], [1.0]]
+        ):
+            assert sampler.choice.level == level
+            simulator.ping(np.eye(4))
+            found = [one for of_ping in expected[: number + 1] for one in 2 * of_ping]
+            assert shares == pytest.approx(found, abs=1e-9)  # rounding
+        assert (sampler.choice.level, sampler.choice.next_level) == (level + 3, None)
+
     @pytest.mark.parametrize(("share", "is_due"), [(1.001, True), (0.999, False)])
     def test_a_check_waits_until_it_costs_no_more_than_a_ping_may(self, simulator, share, is_due):
         """It costs 2.1 times a ping without, which may cost 2.3 times the median."""

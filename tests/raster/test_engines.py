@@ -436,6 +436,28 @@ def test_two_threads_draw_the_same_samples_as_one(monkeypatch):
     np.testing.assert_array_equal(two[1], one[1])
 
 
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_memory_that_is_made_ready_leaves_the_samples_that_were_drawn(engine):
+    """And finer ones are those that are drawn without that."""
+    fine, views = sg.Sampling(4, 400), []
+    with sg.Simulator(small_world(), SONAR, sg.Acoustics.ideal(), SAMPLING, engine=engine) as simulator:
+        run = simulator.run
+        with run.drawing():
+            coarse, finer = (run.stages.stage(one).renderer for one in (SAMPLING, fine))
+            finer.prepare(0.5)  # before anything was drawn
+            (view,) = coarse.render([np.eye(4)], with_bodies=True)
+            before = [one.plane_echo.copy() for one in view.sectors]
+            for share in (0.4, 1.0):
+                finer.prepare(share)
+            for one, same in zip(view.sectors, before, strict=True):
+                np.testing.assert_array_equal(one.plane_echo, same)
+            (view,) = finer.render([np.eye(4)], with_bodies=True, full=True)
+            views = [one.plane_echo.copy() for one in view.sectors]
+    alone = draw_sectors(small_world(), SONAR, np.eye(4), engine, fine)
+    for one, (_, same, _) in zip(views, alone, strict=True):
+        np.testing.assert_array_equal(one, same)
+
+
 def seen_bodies(samples):
     """Return the number of the body of each sample; 0, which is not written, where it met nothing."""
     return np.where(samples.plane_echo[..., 0] > 0, samples.body_id, 0)

@@ -10,7 +10,7 @@ it, by the clock and by the time of the processors, which other programs disturb
 fraction of the time of others whatever their samples, would lower that median. Each loop is made three times, with the
 same samples, and of each ping the least time counts: other work only adds to it, and not to the same ping each time.
 "verified" is the share of pings whose `error_estimate` is within the tolerance. Finer samples, and the finer meshes
-that they draw, take memory that is fresh in each loop; the last line says how long the system needs to provide it.
+that they draw, take memory that is new in each loop; the last line says how long the system needs to provide it.
 """
 
 from __future__ import annotations

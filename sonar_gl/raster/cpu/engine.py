@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from copy import copy
@@ -95,6 +96,10 @@ class _Image:
         """Return room for the specular lobes of the samples of a view, (height, width)."""
         return self._lobes.take(width * height).reshape(height, width)
 
+    def prepare(self, growth: float, share: float) -> None:
+        for one in (*self._arrays, self._lobes):
+            one.prepare(growth, share)
+
     def drop_large(self) -> None:
         for one in (*self._arrays, self._lobes):
             one.drop_large()
@@ -118,6 +123,10 @@ class _HalfWorkspace:
         planes, bodies, normals = self._triangles
         return Triangles(planes.take(count), bodies.take(count), normals.take(count * has_normals))
 
+    def prepare(self, growth: float, share: float) -> None:
+        for one in self._buffer:
+            one.prepare(growth, share)
+
     def drop_large(self) -> None:
         for one in (*self._buffer, *self._triangles):
             one.drop_large()
@@ -132,6 +141,11 @@ class CpuWorkspace(RenderWorkspace):
     def __init__(self, most_samples: int):
         super().__init__(most_samples, _Image)
         self.halves = _HalfWorkspace(), _HalfWorkspace()
+
+    def prepare(self, growth: float, share: float) -> None:
+        """Have memory ready for `growth` times the samples of the last view, or a share of what is missing."""
+        for one in (*self._images, *self.halves):
+            one.prepare(growth, share)
 
     def drop_large(self) -> None:
         """Drop large arrays; samples that were drawn stay valid."""
@@ -160,7 +174,7 @@ class CpuRenderer:
     ):
         self._engine, self._specular = engine, specular
         self._workspace, self._thread = workspace, thread
-        range_max_m = fan.sonar.range_max_m
+        range_max_m, self._n_samples = fan.sonar.range_max_m, fan.n_samples
         self._limits = np.array([NEAR_M, FAR_FACTOR * range_max_m])
         self._sectors = [SectorView(sector, FAR_FACTOR * range_max_m, range_max_m) for sector in fan.sectors]
         self._layout, self._stacked = SectorLayout(self._sectors), stacked(self._sectors)
@@ -180,6 +194,7 @@ class CpuRenderer:
         planes = planes or [None] * len(poses)
         n = len(poses)
         images, out = self._workspace.images(n, keep_last), [None] * n
+        self._workspace.n_of_fan = self._n_samples
         views = list(zip(poses, states, planes, strict=True))
         groups = _with_lobes(views)
 
@@ -196,6 +211,11 @@ class CpuRenderer:
         for group in groups[2 * pairs :]:
             draw(group)
         return out
+
+    def prepare(self, share: float) -> None:
+        """Have memory ready before a view is drawn; see `Renderer.prepare`."""
+        if before := self._workspace.n_of_fan:
+            self._workspace.prepare(self._n_samples / before, share)
 
     def _draw(
         self, images: Sequence[_Image], bodies: BodiesInView, with_bodies: bool, full: bool, half: int | None
@@ -224,9 +244,11 @@ class CpuRenderer:
         placed = PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
         work_ns = FACE_NS * n_faces + SAMPLE_NS * width * height * len(images)
         lobes = images[1].take_lobes(width, height) if len(images) > 1 else NO_LOBES
-        most = n_most, max(w.rows * w.columns for w in windows)
+        is_whole = half is not None or self._thread is None or work_ns < FEW_NS
+        n_parts = 1 if is_whole else 2
+        most = n_most, max(w.rows * math.ceil(w.columns / n_parts) for w in windows)
         drawn = tuple(placed), bodies.has_lobes, chosen, found, most, samples, lobes
-        if half is not None or self._thread is None or work_ns < FEW_NS:
+        if is_whole:
             parts = [self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)]
         else:
             parts = self._thread.run_halves(
@@ -258,7 +280,7 @@ class CpuRenderer:
 
         placed : tuple of PlacedBodies
         chosen, found : of `SceneMeshes.choose`
-        most : faces, and samples, of a sector
+        most : faces of a sector, and samples of a part of one
         samples, lobes : as for `shade`
         """
         contents = self._engine.contents

@@ -257,6 +257,9 @@ class OpenGLRenderer:
         check_driver(self._context)
         return views
 
+    def prepare(self, share: float) -> None:
+        """Do nothing: the driver has its own memory."""
+
     def _lay_out(self, number: int, bodies: BodiesInView, full: bool, listed: list) -> list[SectorDraws]:
         """Find what each sector draws of the bodies of one pose, and append the draws to a list."""
         meshes, out = self._buffers.meshes, []
