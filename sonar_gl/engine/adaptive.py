@@ -41,7 +41,7 @@ MOST_COST, MOST_FULL_COST, MOST_FINER_COST, RECENT = 2.3, 2.0, 1.65, 100
 MOST_MORE, FEW_SAMPLES = 2.1, 50_000
 # Before finer samples are drawn their memory is used for the first time, of no more samples at a time than this times
 # the usual cost. That of a sample, with its share of the view that it is compared with, takes about as long as two
-# samples that met a body.
+# samples that met a body. So much of FEW_SAMPLES takes next to no time.
 MOST_NEW = 0.2
 LIKE_COST = 0.1  # share by which a ping may cost more or less than was expected
 # So many pings with echo, each near the one before, are a loop that must not stall. Fewer are those of a program that
@@ -224,7 +224,8 @@ class AdaptiveSampling:
         coarser = self._model.coarser_stage(stage)
         # by samples alone: how fine pings are must not depend on what memory was kept of finer ones
         times_more = stage.fan.n_samples / drawn.resolution.stage.fan.n_samples - 1
-        n_new, most = drawn.view.n_samples * times_more, MOST_NEW * _usual(self.history.costs)
+        n_new = drawn.view.n_samples * times_more
+        most = MOST_NEW * max(_usual(self.history.costs), FEW_SAMPLES)
         share = choice.share if choice.n_made < 2 else choice.share + most / max(n_new, most)
         is_ready = n_new <= most or share >= 1.0
         for one in (stage, coarser):
