@@ -489,8 +489,8 @@ def worst_beside_near(other, samples, share, acoustics=IDEAL, **request):
         model, setup = run.sampler.search.model, run.set_up(PingRequest(np.eye(4), **request))
         with run.drawing():
             view = model.draw(setup, 8)
-            zeros, of_near, of_both = np.zeros(3), np.array([0, 0.01, 0]), 0.01 * np.array([0, 1, share])
-            met = BodyCounts(np.array([0, 1e6, samples]), of_both, of_both, zeros, zeros, zeros)
+            of_near, of_both = np.array([0, 0.01, 0]), 0.01 * np.array([0, 1, share])
+            met = BodyCounts(np.array([0, 1e6, samples]), of_both, of_both, *np.zeros((3, 3)))
             before = view._replace(counts=met._replace(echo=of_near))
             return model.judge(setup, 8, view._replace(counts=met), before).plan.worst_body
 
@@ -514,7 +514,7 @@ def test_a_smooth_body_is_judged_by_its_glint(strands, before, error):
         with run.drawing():
             view = model.draw(setup, 8)
             zeros, echo = np.zeros(3), np.array([0, 1, 1.0])
-            met = BodyCounts(np.array([0, 1e6, 900]), echo, echo, zeros, np.array([0, 0, strands]))
+            met = BodyCounts(np.array([0, 1e6, 900]), echo, echo, zeros, np.array([0, 0, strands]), zeros)
             other = view._replace(counts=met._replace(echo=np.array([0, 1, before])))
             coarse = model.coarser_stage(view.stage)
             plan = model.judge(setup, 8, view._replace(counts=met), other._replace(stage=coarse)).plan
