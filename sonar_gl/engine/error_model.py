@@ -101,12 +101,6 @@ class TriedView(NamedTuple):
         """As of `Stage.coverage`; first asked for while the samples are valid."""
         return self.stage.coverage(self.view)
 
-    @property
-    def is_without_echo(self) -> bool:
-        """Whether no sample in range met a body. Those beyond may reach into the last bin, the less the finer."""
-        only_reaches = self.view.bubbles is None and not self.counts.samples.any()
-        return self.echo.total <= 0 or only_reaches
-
 
 class ErrorModel:
     """Judges sampling levels by what they see. It keeps nothing of a ping: what it says depends on that ping alone.
@@ -190,7 +184,7 @@ class ErrorModel:
         counts = self._counting_bodies(setup, tried, greatest)
         is_compared = counts & (tried.counts.samples < MAX_COMPARED_SAMPLES)
         if before is None:
-            is_empty = tried.is_without_echo and not tried.counts.samples.any()
+            is_empty = tried.echo.total <= 0 and not tried.counts.samples.any()
             # fewer samples tell nothing then: a body that might be seen asks for more whatever they show of it
             before = tried if is_empty else self._coarser(setup, tried.stage, is_compared)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
@@ -219,7 +213,7 @@ class ErrorModel:
 
         coarser : how many times as many samples `tried` has as `before`
         """
-        if tried.is_without_echo:
+        if tried.echo.total <= 0:
             return ErrorEstimate(0.0, 0.0)  # nothing to judge by, and coarser samples would tell no more
         counts = tried.counts
         total = max(counts.echo.sum(), 1e-30)
