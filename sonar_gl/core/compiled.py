@@ -18,6 +18,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 from sonar_gl.core.errors import Error
 from sonar_gl.core.signals import delayed_interrupt
@@ -261,6 +262,25 @@ def from_column(_typing_context, image, column, n_rows):
         return impl_ret_borrowed(context, builder, image, out)
 
     return image(image, types.intp, types.intp), generate
+
+
+@intrinsic
+def floats_at(_typing_context, address, count):
+    """Return the contiguous array of so many float32 numbers at an address in memory, uint64.
+
+    So a kernel takes a number of arrays that varies. Their owner must hold them until it has ended.
+    """
+    out = types.Array(types.float32, 1, "C")
+
+    def generate(context, builder, _signature, arguments):
+        array = context.make_array(out)(context, builder)
+        size = context.get_constant(types.intp, 4)
+        place = builder.inttoptr(arguments[0], array.data.type)
+        parts = {"data": place, "shape": [arguments[1]], "strides": [size], "itemsize": size, "meminfo": None}
+        populate_array(array, **parts)
+        return array._getvalue()
+
+    return out(types.uint64, types.intp), generate
 
 
 class _Announcement(event.Listener):

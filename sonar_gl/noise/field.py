@@ -18,8 +18,8 @@ from sonar_gl.noise.speckle import BeamField, correlated_field, look_at
 from sonar_gl.noise.wave_cache import WaveCache
 from sonar_gl.ping import Ping
 
-# A sonar within a cell takes 1 to 20 MB of its waves; near a corner it takes those of four cells, of up to 100 MB each
-# for the widest fans, most of which are then made anew in each ping.
+# A sonar within a cell takes 2 to 25 MB of its waves; near a corner it takes those of four cells, of up to 30 MB each
+# for many bins and for the widest fans, some of which are then made anew in each ping.
 _WAVES = WaveCache(64 << 20)
 PLACE_LOCKED = "place-locked speckle, follow_motion=True"
 
@@ -41,9 +41,8 @@ class FieldKey(NamedTuple):
 
         def waves(cell_x, cell_y, chunks, n_wave_bins):
             def generator(chunk):
-                return stream(
-                    seed, 0, term, *((n + (1 << 31)) % (1 << 64) for n in (cell_x, cell_y, chunk)), look
-                )
+                numbers = ((n + (1 << 31)) % (1 << 64) for n in (cell_x, cell_y, *chunk))
+                return stream(seed, 0, term, *numbers, look)
 
             return _WAVES.waves((self.random, cell_x, cell_y), chunks, n_wave_bins, generator)
 

@@ -92,6 +92,12 @@ def aperture_width(taper_series: tuple[float, ...] = ()) -> float:
     return 2 * main_lobe_edge(taper_series, 0.5)
 
 
+def has_low_ends(taper_series: tuple[float, ...]) -> bool:
+    """Return whether a taper has less than LOW_END of its mean power at the ends of the aperture."""
+    mean_power = 1 + 2 * sum(share**2 for share in taper_series)
+    return bool(aperture_weights(0.5, taper_series) ** 2 < LOW_END * mean_power)
+
+
 def own_nodes(n_beams: int) -> tuple[np.ndarray, np.ndarray]:
     """Return `first` and `weights` of a `BeamField` whose nodes are the beams, and more if there are fewer than TAPS.
 
@@ -148,8 +154,7 @@ def beam_nodes(
     place = (azimuth - (azimuth[0] + azimuth[-1]) / 2) / step_rad + (half - 0.5)
     first = np.floor(place).astype(np.int64) - (TAPS // 2 - 1)
     off = place[:, None] - first[:, None] - np.arange(TAPS)
-    mean_power = 1 + 2 * sum(share**2 for share in taper_series)
-    if not is_circle and aperture_weights(0.5, taper_series) ** 2 < LOW_END * mean_power:
+    if not is_circle and has_low_ends(taper_series):
         weights = aperture_field(off / OVERSAMPLING, taper_series)
         weights /= np.sqrt((weights**2).sum(axis=1, keepdims=True))
         return BeamNodes(None, None, first, weights.astype(np.float32))

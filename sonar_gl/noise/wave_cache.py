@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Hashable
 
 import numpy as np
 
 from sonar_gl.noise.gaussian import standard_normal
 
-CHUNK = 64  # waves per random stream
+CHUNK = 4  # waves per random stream
 RECENT_USES = 8  # of waves: two pings take those of four cells each
 
-
-class Waves(NamedTuple):
-    """Random waves of a cell of the sea.
-
-    chunks : their numbers, CHUNK waves each
-    coefficients : (waves, 2, bins) float32, complex amplitudes, read-only
-    """
-
-    chunks: range
-    coefficients: np.ndarray
+# Waves of a cell of the sea, by the places of their chunks: (CHUNK, 2, bins) float32, complex amplitudes, read-only
+Waves = dict[Hashable, np.ndarray]
 
 
 class WaveCache:
@@ -40,46 +31,52 @@ class WaveCache:
         self._cells: dict[Hashable, tuple[int, Waves]] = {}
         self._n_uses = 0
 
-    def waves(self, key: Hashable, chunks: range, n_bins: int, generator) -> Waves:
+    def waves(
+        self,
+        key: Hashable,
+        chunks: Collection[Hashable],
+        n_bins: int,
+        generator: Callable[[Hashable], np.random.Generator],
+    ) -> Waves:
         """Return waves of a cell: these chunks, or more.
 
-        key : with `n_bins` what determines the waves, besides the numbers of their chunks
+        key : with `n_bins` what determines the waves, besides the places of their chunks
         generator : function (chunk) -> numpy.random.Generator
         """
         key = key, n_bins
-        _, old = self._cells.get(key, (0, None))
-        if old is None or chunks.start < old.chunks.start or old.chunks.stop < chunks.stop:
-            found = Waves(chunks, np.empty((len(chunks) * CHUNK, 2, n_bins), np.float32))
+        _, found = self._cells.get(key, (0, {}))
+        if not all(chunk in found for chunk in chunks):
+            old, found = found, {}
             for chunk in chunks:
-                known = old is not None and chunk in old.chunks
-                _chunk_of(found, chunk)[:] = (
-                    _chunk_of(old, chunk) if known else standard_normal(generator(chunk), (CHUNK, 2, n_bins))
-                )
-            found.coefficients.setflags(write=False)
-        else:
-            found = old
+                found[chunk] = old[chunk] if chunk in old else _new_chunk(generator(chunk), n_bins)
         self._n_uses = n_uses = self._n_uses + 1
         cells = dict(self._cells)
         cells.pop(key, None)
-        if self._make_room(cells, found.coefficients.nbytes, n_uses):
+        if self._make_room(cells, _n_bytes(found), n_uses):
             cells[key] = n_uses, found
         self._cells = cells
         return found
 
     def _make_room(self, cells: dict, n_bytes: int, n_uses: int) -> bool:
         """Return whether so many bytes fit, after those of the cells have gone that may go."""
-        room = self._max_bytes - n_bytes - sum(waves.coefficients.nbytes for _, waves in cells.values())
+        room = self._max_bytes - n_bytes - sum(_n_bytes(waves) for _, waves in cells.values())
         while room < 0 and cells:
             oldest = next(iter(cells))
             last_use, waves = cells[oldest]
             if last_use > n_uses - RECENT_USES:
                 return False
-            room += waves.coefficients.nbytes
+            room += _n_bytes(waves)
             del cells[oldest]
         return room >= 0
 
 
-def _chunk_of(waves: Waves, chunk: int) -> np.ndarray:
-    """Return the coefficients of a chunk."""
-    first = (chunk - waves.chunks.start) * CHUNK
-    return waves.coefficients[first : first + CHUNK]
+def _new_chunk(generator: np.random.Generator, n_bins: int) -> np.ndarray:
+    """Return the waves of a chunk."""
+    out = standard_normal(generator, (CHUNK, 2, n_bins))
+    out.setflags(write=False)
+    return out
+
+
+def _n_bytes(waves: Waves) -> int:
+    """Return the size of waves, whose chunks are all alike."""
+    return len(waves) * next(iter(waves.values())).nbytes if waves else 0

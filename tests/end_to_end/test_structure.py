@@ -52,6 +52,7 @@ OF_LIBRARIES = {
     "os._exit": "ends a process without running what its parent set up",
     "sys._getframe": "the line of a user's `with` block, or call",
     "moderngl._store": "the default context of a process",
+    "array._getvalue": "the value of a Numba structure, as all intrinsics return it",
     "mesh._cache": "trimesh computes normals that the file has",
 }
 # of named tuples, and of what notebooks show

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sonar_gl import Water, pose
+from sonar_gl.acoustics.beam_pattern import aperture_weights
 from sonar_gl.acoustics.pulse import PulseResponse, coarse_reach
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.gaussian import standard_normal
@@ -15,12 +16,13 @@ from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.place_locked_speckle import FieldShape, add_products, place_locked_field
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.settings import Noise
-from sonar_gl.noise.speckle import TAPS, FieldCorrelation
-from sonar_gl.noise.wave_cache import CHUNK, RECENT_USES, WaveCache, Waves
+from sonar_gl.noise.speckle import TAPS, FieldCorrelation, aperture_width
+from sonar_gl.noise.wave_cache import CHUNK, RECENT_USES, WaveCache
 from tests.support.even_ping import (
     BEAM_WIDTH_RAD,
     BIN_M,
     FREQUENCY_HZ,
+    HAMMING_SERIES,
     SIGMAS,
     SOUND_SPEED_M_S,
     UNIFORM_WIDTH,
@@ -35,6 +37,18 @@ PLACE_LOCKED = Noise(speckle=True, follow_motion=True)
 YAW_RAD = 0.3  # heading of the sonars of `moved`
 AHEAD, PORT = np.array([[np.cos(YAW_RAD), np.sin(YAW_RAD)], [-np.sin(YAW_RAD), np.cos(YAW_RAD)]])
 BORESIGHT = slice(31, 33)  # the two middle beams of 64
+
+
+def random_waves(seed=5):
+    """Return a function that makes waves as `place_locked_field` takes it."""
+
+    def chunk_of(x, y, chunk, n_bins):
+        block, direction = chunk
+        return standard_normal(
+            stream(seed, 0, "speckle", x + 99, y + 99, block + 9999, direction), (CHUNK, 2, n_bins)
+        )
+
+    return lambda x, y, chunks, n_bins: {chunk: chunk_of(x, y, chunk, n_bins) for chunk in chunks}
 
 
 def field_of_beams(*arguments) -> np.ndarray:
@@ -70,14 +84,8 @@ def test_a_still_sonar_has_a_still_pattern(noise, texture):
 def test_a_second_thread_leaves_the_field_as_it_is(where):
     beams = FieldCorrelation(tuple(np.radians(np.arange(150) / 4)), BEAM_WIDTH_RAD)
     shape = FieldShape(beams, 700, BIN_M, SOUND_SPEED_M_S / FREQUENCY_HZ)
-
-    def waves(x, y, chunks, n_bins):
-        generators = (stream(5, 0, "speckle", x + 99, y + 99, chunk + 9999) for chunk in chunks)
-        normals = [standard_normal(one, (CHUNK, 2, n_bins)) for one in generators]
-        return Waves(chunks, np.concatenate(normals))
-
     with counting_thread() as thread:
-        alone, both = (field_of_beams(shape, where, waves, one) for one in (None, thread))
+        alone, both = (field_of_beams(shape, where, random_waves(), one) for one in (None, thread))
         assert thread.n_jobs
     np.testing.assert_array_equal(both, alone)
 
@@ -115,26 +123,59 @@ def test_statistics_are_those_of_speckle():
     assert found == pytest.approx(half_a_width_apart, abs=SIGMAS * 2 / np.sqrt(n) + 5e-3)
 
 
-def test_beams_between_nodes_are_those_that_are_summed_themselves():
-    """Every fourth of many beams; so few have no nodes. At the middle of a cell the window errs by 58 dB less."""
+@pytest.mark.parametrize("series, error_db", [((), -38), (HAMMING_SERIES, -44)])
+def test_beams_between_nodes_are_those_that_are_summed_themselves(series, error_db):
+    """Every fourth of many beams; so few have no nodes. They differ by what is left out of the ends of apertures."""
     azimuth_rad = np.radians(np.arange(64) / 4)
-
-    def waves(x, y, chunks, n):
-        generators = (stream(5, 0, "speckle", x + 99, y + 99, chunk + 9999) for chunk in chunks)
-        return Waves(chunks, np.concatenate([standard_normal(one, (CHUNK, 2, n)) for one in generators]))
-
     all_beams, few_beams = (
         field_of_beams(
             FieldShape(
-                FieldCorrelation(tuple(some), BEAM_WIDTH_RAD), 300, BIN_M, SOUND_SPEED_M_S / FREQUENCY_HZ
+                FieldCorrelation(tuple(some), BEAM_WIDTH_RAD, series),
+                300,
+                BIN_M,
+                SOUND_SPEED_M_S / FREQUENCY_HZ,
             ),
             pose(),
-            waves,
+            random_waves(),
         )
         for some in (azimuth_rad, azimuth_rad[1::4])
     )
     error = np.square(all_beams[1::4] - few_beams).sum(1).mean()
-    assert 0 < error < 2 * 10**-5.8
+    assert 0 < error < 2 * 10 ** (error_db / 10)
+
+
+@pytest.mark.parametrize("width_deg", [1.0, 6.0])
+@pytest.mark.parametrize("series, error", [((), 0.02), (HAMMING_SERIES, 0.006)])
+def test_fields_correlate_as_their_apertures_overlap(series, error, width_deg):
+    """Those of beams any angle apart, and of sonars any way aside: exactly, from the weights of all waves."""
+    width_rad, wavelength_m = np.radians(width_deg), SOUND_SPEED_M_S / FREQUENCY_HZ
+    azimuth_rad = width_rad * np.array([-1.1, -0.4, -0.13, 0, 0.05, 0.21, 0.5, 0.9, 1.5])
+    n_bins, first_bins = 6000, {}
+    # bins so long that no pattern moves along range
+    shape = FieldShape(FieldCorrelation(tuple(azimuth_rad), width_rad, series), n_bins, 1e9, wavelength_m)
+
+    def waves(x, y, chunks, n_wave_bins):
+        """Each wave is 1 in a bin of its own."""
+        out = {chunk: np.zeros((CHUNK, 2, n_wave_bins), np.float32) for chunk in chunks}
+        for chunk, of_chunk in out.items():
+            first = first_bins.setdefault(chunk, CHUNK * len(first_bins)) + (n_wave_bins - n_bins) // 2
+            of_chunk[np.arange(CHUNK), 0, first + np.arange(CHUNK)] = 1
+        return out
+
+    aperture_m = aperture_width(series) * wavelength_m / width_rad
+    fields, apertures, v = [], [], np.linspace(-2, 3, 10001)  # in apertures
+    for aside in (0, 0.013, 0.05, 0.12, 0.23, 0.3, 0.5, 0.7):
+        field = field_of_beams(shape, pose(0, aside * aperture_m), waves)
+        fields.append(field[:, 0] + 1j * field[:, 1])
+        for azimuth in azimuth_rad:
+            z = v - 2 * aside * np.cos(azimuth)
+            taper = np.where(np.abs(z) <= 0.5, aperture_weights(z, series), 0)
+            apertures.append(taper * np.exp(2j * np.pi * azimuth * aperture_m / wavelength_m * v))
+    assert CHUNK * len(first_bins) < n_bins
+    found, expected = (np.abs(rows @ rows.conj().T) for rows in map(np.vstack, (fields, apertures)))
+    # of waves of variance 2; float32
+    np.testing.assert_allclose(2 * np.diag(found), 1, rtol=1e-5)
+    assert np.abs(2 * found - expected / expected[0, 0]).max() < error
 
 
 @pytest.mark.parametrize(
@@ -154,12 +195,7 @@ def test_no_beam_is_brighter_than_others(where):
     )
     power = np.zeros(len(azimuth_rad))
     for seed in range(n_seeds):
-
-        def waves(x, y, chunks, n, seed=seed):
-            generators = (stream(seed, 0, "speckle", x + 99, y + 99, chunk + 9999) for chunk in chunks)
-            return Waves(chunks, np.concatenate([standard_normal(one, (CHUNK, 2, n)) for one in generators]))
-
-        power += np.square(field_of_beams(shape, where, waves)).sum(1).mean(1) / n_seeds
+        power += np.square(field_of_beams(shape, where, random_waves(seed))).sum(1).mean(1) / n_seeds
     # a bin off the middle of others may take up to half of its power from the next
     assert power == pytest.approx(1, abs=SIGMAS * np.sqrt(1.5 / (n_bins * n_seeds)))
     # beams half a width apart share about half of their variance
@@ -296,7 +332,7 @@ def test_waves_have_as_many_bins_as_coarse_weights_reach_from_the_furthest_place
 
     def waves(x, y, chunks, n):
         n_wave_bins.append(n)
-        return Waves(chunks, np.zeros((CHUNK * len(chunks), 2, n), np.float32))
+        return dict.fromkeys(chunks, np.zeros((CHUNK, 2, n), np.float32))
 
     place_locked_field(shape, pose(0.29, 0.29), waves)
     reach = coarse_reach(bin_m, *pulse)
@@ -432,9 +468,10 @@ def test_only_waves_that_the_pings_before_did_not_receive_are_generated():
     found, generated = cached_waves(cache, wanted)
     assert generated == [6, 7, 8]
     new, _ = cached_waves(WaveCache(1 << 20), wanted)
-    assert found.chunks == new.chunks == wanted
-    assert not found.coefficients.flags.writeable  # later pings have the same
-    np.testing.assert_array_equal(found.coefficients, new.coefficients)
+    assert list(found) == list(new) == list(wanted)
+    for chunk in wanted:
+        assert not found[chunk].flags.writeable  # later pings have the same
+        np.testing.assert_array_equal(found[chunk], new[chunk])
 
 
 def test_the_cache_of_waves_keeps_those_that_were_used_last():
@@ -485,10 +522,10 @@ def test_a_signal_handler_may_use_the_cache_at_any_line_of_a_use():
     finally:
         sys.settrace(before)
     assert len(set(own_lines)) > 10
-    for one in found:
-        np.testing.assert_array_equal(
-            one.coefficients, cached_waves(WaveCache(0), range(2), 0)[0].coefficients
-        )
+    new, _ = cached_waves(WaveCache(0), range(2), 0)
+    for waves in found:
+        for chunk in range(2):
+            np.testing.assert_array_equal(waves[chunk], new[chunk])
 
 
 def test_pings_before_do_not_change_a_pattern():
@@ -517,17 +554,22 @@ def test_it_needs_a_pose_and_a_sonar(missing):
 
 
 def test_mean_products_of_fields_are_those_of_their_sums_written_out():
-    """Apertures slide along the waves to either side, and patterns along range: with overlaps of all lengths."""
+    """Apertures slide over blocks to either side, and patterns along range: with overlaps of all lengths.
+
+    Directions turn on over the end of the circle.
+    """
     rng = np.random.default_rng(4)
-    n_nodes, n_waves, n_weights, n_next = 7, 6, 4, 5
-    start, shift = np.array([9, 12, 10, 3, 3, 11, 20]), np.array([5, 3, 4, 8, 4, 6, 9])
-    matrix = rng.normal(size=(n_nodes, 2, n_waves)).astype(np.float32)
+    n_nodes, n_blocks, n_own, n_circle, n_weights, n_next = 7, 5, 6, 20, 4, 5
+    block, direction = np.array([9, 12, 10, 3, 3, 11, 20]), np.array([17, 18, 0, 2, 2, 9, 14])
+    shift = np.array([5, 3, 4, 8, 4, 6, 9])
+    matrix = rng.normal(size=(n_nodes, n_blocks, n_own, 2)).astype(np.float32)
     weights = rng.normal(size=(n_nodes, n_weights)).astype(np.float32)
     out = np.ones((n_nodes, n_next))  # which is added to
-    add_products(start, matrix, shift, weights, out)
-    of_waves, of_bins = np.zeros((n_nodes, 2, 40)), np.zeros((n_nodes, 40))
+    add_products(block, direction, matrix, n_circle, shift, weights, out)
+    of_waves, of_bins = np.zeros((n_nodes, 40, n_circle, 2)), np.zeros((n_nodes, 40))
     for node in range(n_nodes):
-        of_waves[node, :, start[node] : start[node] + n_waves] = matrix[node]
+        own = (direction[node] + np.arange(n_own)) % n_circle
+        of_waves[node, block[node] : block[node] + n_blocks, own] = matrix[node].swapaxes(0, 1)
         of_bins[node, shift[node] : shift[node] + n_weights] = weights[node]
     expected = np.ones((n_nodes, n_next))
     for node in range(n_nodes):
