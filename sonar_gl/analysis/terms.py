@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Container, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +33,8 @@ from sonar_gl.sonar.sonar import Sonar
 
 MAX_POSES = 5  # of a sequence, at which terms are judged
 TURNS = 7  # pings of which a time is the median
-SEED = 0  # of the noise: the same with and without a term
+SEED = 0  # of the noise: the same with and without a term, where images are compared
+STEP_M = 0.04  # by which a sonar moves ahead from ping to ping, where noise is timed
 CHANGED_DB = 3.0  # a bin that changes by more has another tone: 13 counts of 255 in a window of 60 dB
 
 
@@ -337,9 +339,11 @@ class _Comparison:
     def added_times_ms(self, terms: list[Term | StatedTerm]) -> dict[str, float]:
         """Return what each term adds to the time of a ping with its noise, milliseconds, by name.
 
-        Pings with and without the terms take turns, so that a change of the machine's load affects all alike.
+        Pings with and without the terms take turns, so that a change of the machine's load affects all alike. Noise is
+        that of a sonar that moves by STEP_M from ping to ping. Each has a seed of its own, since noise that another has
+        made is kept.
         """
-        case = self._case
+        case, seeds = self._case, count(SEED + 1)
         variants = {term: self._settings([term]) for term in terms}
         variants[None] = self._settings(())
         times_s = {variant: [] for variant in variants}
@@ -351,9 +355,14 @@ class _Comparison:
                 simulator.ping(pose)  # not timed: the other simulators left the caches cold
                 start = time.perf_counter()
                 ping = replace(simulator.ping(pose), sonar=sonar)
-                pinged = time.perf_counter()
-                add_noise(ping, noise, SEED)
-                times_s[variant].append((pinged - start, time.perf_counter() - pinged))
+                pinged_s, seed = time.perf_counter() - start, next(seeds)
+                add_noise(ping, noise, seed)  # not timed: a ping has much of the noise of the one before
+                ahead = np.eye(4)
+                ahead[0, 3] = STEP_M
+                moved = replace(ping, pose=ping.pose @ ahead)
+                start = time.perf_counter()
+                add_noise(moved, noise, seed)
+                times_s[variant].append((pinged_s, time.perf_counter() - start))
         out = {}
         for term in terms:
             added_ms = 1e3 * np.subtract(times_s[None], times_s[term])

@@ -162,6 +162,35 @@ def test_no_cost_is_negative(monkeypatch):
     assert min(costs) == 0.0
 
 
+def test_the_time_of_noise_is_that_of_a_sonar_that_moves(monkeypatch):
+    """Place-locked speckle costs nothing at rest, and more where no ping of that seed has been nearby."""
+    events = []
+
+    class Clock:
+        def perf_counter(self):
+            events.append("clock")
+            return 0.0
+
+    def noted(ping, noise, seed):
+        events.append((seed, tuple(ping.pose.ravel())))
+        return add_noise(ping, noise, seed)
+
+    monkeypatch.setattr(terms, "time", Clock())
+    monkeypatch.setattr(terms, "add_noise", noted)
+    priced(room(), 0.1, timed=("pulse", "speckle", "receiver noise"))
+    # between a start and an end
+    timed = [n for n, event in enumerate(events) if event != "clock" and events[:n].count("clock") % 2]
+    assert len(timed) == 4  # and everything
+    for n in timed:
+        before = [event for event in events[:n] if event != "clock"]
+        assert events[n] not in before
+        (seed, pose), (seed_before, pose_before) = events[n], before[-1]
+        assert seed == seed_before
+        way_m = np.subtract(pose, pose_before).reshape(4, 4)
+        assert np.linalg.norm(way_m) == pytest.approx(terms.STEP_M, rel=1e-9)
+        assert not way_m[:, :3].any()
+
+
 @pytest.mark.slow
 def test_only_named_terms_are_timed():
     """All are judged, so that what is needed does not depend on the names; each one that is timed makes pings."""
