@@ -39,7 +39,6 @@ KAISER_WINDOW = tuple(((KAISER / 2) ** n / math.factorial(n)) ** 2 for n in rang
 N_DIRECTIONS = 6
 BLOCK_LENGTH, SHARP_BLOCK_LENGTH, LEAST_POWER = 1 / 3, 1 / 5, 1e-6
 QUADRATURE = tuple(zip(*(part.tolist() for part in np.polynomial.legendre.leggauss(12)), strict=True))
-TILE = uint64(512)  # bins at a time, so that the waves of an aperture stay in the cache
 # of waves and bins, some 0.5 ms; for fewer a hand-over to another thread does not pay
 FEW_WAVE_PRODUCTS = 1_000_000
 
@@ -300,22 +299,19 @@ def _sum_waves(addresses, n_wave_bins, block, direction, matrix, shift, weights,
     matrix : (B, blocks, N_DIRECTIONS, 2) float32, real and imaginary parts of the weights of waves
     shift, weights : (B,) and (B, n), of `_shift_weights`, n a multiple of 4, with zeros at the end
     """
-    n_beams, n_bins, n_weights = uint64(out.shape[0]), uint64(out.shape[2]), uint64(weights.shape[1])
-    row = np.empty((2, TILE + n_weights), np.float32)
-    for start in range(uint64(0), n_bins, TILE):
-        end = min(start + TILE, n_bins)
-        for beam in range(n_beams):
-            first = uint64(shift[beam]) + start
-            n = min(end - start + n_weights - uint64(1), n_wave_bins - first)
-            row[:] = float32(0)
-            real, imaginary = row[0, :n], row[1, :n]
-            for b in range(uint64(matrix.shape[1])):
-                of_block = matrix[beam, b]
-                if of_block[0, 0] != 0 or of_block[0, 1] != 0:
-                    places, turned = addresses[uint64(block[beam]) + b], uint64(direction[beam])
-                    _add_block(places, turned, uint64(4) * first, n_wave_bins, of_block, real, imaginary)
-            _shift(row[0], weights[beam], out[beam, 0, start:end])
-            _shift(row[1], weights[beam], out[beam, 1, start:end])
+    n_bins, n_weights = uint64(out.shape[2]), uint64(weights.shape[1])
+    row = np.empty((2, n_bins + n_weights), np.float32)
+    for beam in range(uint64(len(out))):
+        first, row[:] = uint64(shift[beam]), float32(0)
+        n = min(n_bins + n_weights - uint64(1), n_wave_bins - first)
+        real, imaginary = row[0, :n], row[1, :n]
+        for b in range(uint64(matrix.shape[1])):
+            of_block = matrix[beam, b]
+            if of_block[0, 0] != 0 or of_block[0, 1] != 0:
+                places, turned = addresses[uint64(block[beam]) + b], uint64(direction[beam])
+                _add_block(places, turned, uint64(4) * first, n_wave_bins, of_block, real, imaginary)
+        _shift(row[0], weights[beam], out[beam, 0])
+        _shift(row[1], weights[beam], out[beam, 1])
 
 
 class _Layout(NamedTuple):
