@@ -237,6 +237,15 @@ def _shift(row, weights, out):
 
 
 @compiled
+def _power(weights):
+    """Return the sum of the squares of weights (n, 2)."""
+    out = 0.0
+    for n in range(len(weights)):
+        out += weights[n, 0] * weights[n, 0] + weights[n, 1] * weights[n, 1]
+    return out
+
+
+@compiled
 def _add_block(addresses, direction, first, n_wave_bins, matrix, real, imaginary):
     """Add to real and imaginary parts (n,) the waves of a block in the directions that an aperture receives.
 
@@ -307,7 +316,7 @@ def _sum_waves(addresses, n_wave_bins, block, direction, matrix, shift, weights,
         real, imaginary = row[0, :n], row[1, :n]
         for b in range(uint64(matrix.shape[1])):
             of_block = matrix[beam, b]
-            if of_block[0, 0] != 0 or of_block[0, 1] != 0:
+            if _power(of_block) > 0:
                 places, turned = addresses[uint64(block[beam]) + b], uint64(direction[beam])
                 _add_block(places, turned, uint64(4) * first, n_wave_bins, of_block, real, imaginary)
         _shift(row[0], weights[beam], out[beam, 0])
@@ -419,12 +428,17 @@ def _integrate(from_block, turn, block_length, taper_series, out):
 
 
 @compiled
-def _power(weights):
-    """Return the sum of the squares of weights (n, 2)."""
-    out = 0.0
-    for n in range(len(weights)):
-        out += weights[n, 0] * weights[n, 0] + weights[n, 1] * weights[n, 1]
-    return out
+def _mark_received(block, direction, matrix, n_directions, n_of_chunk, out):
+    """Mark those chunks of waves, out (blocks, chunks) bool, of which an aperture receives some.
+
+    block, direction, matrix : of a `_WaveSums`
+    n_of_chunk : directions
+    """
+    for beam in range(len(matrix)):
+        for b in range(matrix.shape[1]):
+            if _power(matrix[beam, b]) > 0:
+                for d in range(N_DIRECTIONS):
+                    out[block[beam] + b, (direction[beam] + d) % n_directions // n_of_chunk] = True
 
 
 class _WaveSums(NamedTuple):
@@ -484,11 +498,8 @@ def _wave_sums(shape: FieldShape, layout: _Layout, cells: tuple[Cell, Cell], wav
     direction %= n_directions
     first_block = int(block.min())
     block -= first_block
-    # which chunks of waves apertures receive
-    beam, further = np.nonzero(matrix.any(axis=(2, 3)))
-    directions = (direction[:, None] + np.arange(N_DIRECTIONS)) % n_directions
     chunks = np.zeros((int(block.max()) + matrix.shape[1], -(-n_directions // CHUNK)), bool)
-    chunks[(block[beam] + further)[:, None], directions[beam] // CHUNK] = True
+    _mark_received(block, direction, matrix, n_directions, CHUNK, chunks)
     places = [(b + first_block, d) for b, d in np.argwhere(chunks).tolist()]
     found = waves_of(cx, cy, places, n_wave_bins)
     waves = [found[place] for place in places]
