@@ -34,9 +34,8 @@ FIXED_SAMPLES, FACE, CHECK_COST = 10_000, 1.5, 2.1
 FILTERED_BIN, BARE_BIN, COVERED_BIN = 0.37, 0.02, 1.85
 # No ping with a check may cost more than MOST_COST times the usual one of the RECENT ones up to it. One whose view has
 # filled, which may have to be drawn once more, may cost no more than MOST_FULL_COST times, and the first one with finer
-# samples, which takes new memory, no more than MOST_FINER_COST times. Nor may it have more than MOST_MORE times as many
-# samples, two levels, unless it has fewer than FEW_SAMPLES: where few of many meet a body, they cost little, but their
-# memory takes longer than the ping.
+# samples no more than MOST_FINER_COST times. Nor may it have more than MOST_MORE times as many samples, two levels,
+# unless it has fewer than FEW_SAMPLES: where few of many meet a body, they cost little, but their memory does not.
 MOST_COST, MOST_FULL_COST, MOST_FINER_COST, RECENT = 2.3, 2.0, 1.65, 100
 MOST_MORE, FEW_SAMPLES = 2.1, 50_000
 # Before finer samples are drawn their memory is used for the first time, of no more samples at a time than this times
