@@ -425,6 +425,19 @@ def test_shadow_of_a_plate_on_a_floor():
     assert not got.shadow[outside].any()
 
 
+@pytest.mark.parametrize("rows", [40, 80, 160])
+def test_a_shadow_ends_within_half_a_sample(rows):
+    """The end of a shadow on a floor errs by at most half a row, r² Δφ / 2h in range, besides whole bins."""
+    x, top = 9.0, 1.5
+    sonar, sampling = replace(SONAR, beam_width_deg=0.2), sg.Sampling(columns_per_beam=4, rows=rows)
+    bodies = [FLOOR, plate("plate", x, -HEIGHT_M, top - HEIGHT_M)]
+    got = ping(bodies, sonar, sampling=sampling, background=["floor"])
+    end = np.hypot(x / np.cos(got.azimuth_rad) * HEIGHT_M / (HEIGHT_M - top), HEIGHT_M)
+    found = np.array([sonar.bin_edges_m[1:][beam].max() for beam in got.shadow])
+    half_row_m = end**2 / (2 * HEIGHT_M) * math.radians(sonar.elevation_fov_deg) / rows
+    assert (np.abs(found - end) < half_row_m + sonar.bin_size_m).all()
+
+
 def test_open_water_is_not_a_shadow():
     """A body without background behind it casts no shadow; over a floor only the floor's own echo counts."""
     hung = plate("hung", 5.0, -1.0, 0.0, y=(-0.5, 0.5))
