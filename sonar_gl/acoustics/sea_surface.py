@@ -112,6 +112,9 @@ def bubble_layer_backscattering(grazing_rad, frequency_hz: float, wind_speed_m_s
     >>> dense = bubble_layer_backscattering(np.pi / 6, 1e6, 15.0)
     >>> round(float(dense / (0.0136 * 0.5 / (8 * np.pi * 0.255))), 9)
     1.0
+    >>> grazing = np.radians(10.0)  # at 900 kHz the layer is dense from a wind of 8 m/s on
+    >>> [round(float(10 * np.log10(bubble_layer_backscattering(grazing, 900e3, u))), 1) for u in (4, 5, 8, 15)]
+    [-36.8, -32.9, -34.1, -34.2]
     """
     sine, f = np.sin(grazing_rad), frequency_hz / 1e3
     extinction = 10 ** (0.4701 * min(wind_speed_m_s, 11.0) - 5.2577) * (f / 25) ** 0.85
