@@ -13,6 +13,7 @@ from sonar_gl.acoustics.beam_pattern import ArrayPattern
 from sonar_gl.beamform.beamformer import make_beamformer
 from sonar_gl.beamform.far_lobes import LOBES, TOLERANCE, far_lobes, make_lobe_blocks
 from sonar_gl.beamform.workspace import Workspace
+from sonar_gl.engine.no_echo import NoEchoWarning
 from sonar_gl.sonar.fan import Fan
 from sonar_gl.sonar.sonar_files import presets
 from tests.support.processes import python
@@ -313,6 +314,28 @@ def test_a_bright_post_spreads_over_the_fan_as_the_pattern_says():
     lobes = (np.abs(np.degrees(off)) < 30) & ((want > 0.3 * peak) | (np.abs(off) < np.radians(4)))
     assert lobes.sum() > 100
     assert np.abs(difference_db[lobes]).max() < 1.0
+
+
+@pytest.mark.parametrize("beside, is_received", [(0.6, True), (0.85, True), (1.1, False)])
+def test_beams_receive_what_lies_beside_the_fan_as_far_as_the_support_of_the_outermost(beside, is_received):
+    """Within it the outermost beam has the level of its pattern, away from nulls; beyond it no beam receives."""
+    sonar = P900.with_range(12.0)
+    azimuth = sonar.azimuth_rad[-1] + beside * PHYSICAL.receive_support_rad(sonar)
+
+    def received_from(psi):
+        place = sg.pose(10 * math.cos(psi), 10 * math.sin(psi))
+        post = sg.Body("post", trimesh.creation.box((0.004, 0.004, 20)), place @ sg.pose(yaw=psi))
+        with sg.Simulator(sg.Scene([post]), sonar, PHYSICAL, sg.Sampling(12, 200)) as simulator:
+            return simulator.ping(np.eye(4)).intensity.sum(axis=1)
+
+    if not is_received:
+        with pytest.warns(NoEchoWarning):
+            assert not received_from(azimuth).any()
+        return
+    on_axis = received_from(sonar.azimuth_rad[-1])[-1]
+    off = azimuth - sonar.azimuth_rad[-1]
+    want = ArrayPattern("line_array", math.radians(1.0)).power(np.sin(off)) + 10**-3.8
+    assert 10 * np.log10(received_from(azimuth)[-1] / on_axis / want) == pytest.approx(0, abs=0.5)
 
 
 def test_boxes_and_gaussian_beams_have_no_far_side_lobes():
