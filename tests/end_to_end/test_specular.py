@@ -72,6 +72,21 @@ def test_a_sphere_has_its_target_strength(slope, how):
     assert total == pytest.approx(sphere_total(0.5, 5.0, 0.8, slope), rel=6e-3)
 
 
+@pytest.mark.parametrize("slope", [0.02, 0.04])
+def test_a_long_cylinder_has_its_target_strength(slope):
+    """σ = a r |R|² / 4 of a spherical wave at a cylinder across the boresight, half of Urick's a r / 2 of a plane wave.
+
+    The reflected wave has the radii of curvature r and r a / (2r + a) there, and spreads over r once more: with r² / R
+    in place of r, R the distance of the axis.
+    """
+    radius, near = 0.2, 5.0
+    pole = body("pole", primitives.cylinder(radius, 6.0), sg.pose(near + radius), roughness_rad=slope)
+    total = float(ping([pole]).intensity.sum(dtype=np.float64)) * BEAM_SR
+    expected = np.pi / 4 * 0.8 * radius / (near + radius)
+    # 1 + 1.5 s² of the lobe, whose part beyond 10 degrees of elevation is less than 1e-4; as for the sphere
+    assert total == pytest.approx(expected * (1 + 1.5 * slope**2), rel=6e-3)
+
+
 @pytest.mark.parametrize("software", ["0", "1"])
 @pytest.mark.parametrize("engine", ["cpu", "opengl"])
 @pytest.mark.parametrize("slope", [0.02, 0.1])
