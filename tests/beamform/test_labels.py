@@ -425,6 +425,24 @@ def test_shadow_of_a_plate_on_a_floor():
     assert not got.shadow[outside].any()
 
 
+@pytest.mark.parametrize("tolerance", [0.05, 0.01])
+@pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()], ids=["ideal", "physical"])
+def test_little_of_a_ball_lies_behind_its_outline(acoustics, tolerance):
+    """Samples at the outline are planes that reach behind it: many labelled bins there, but hardly any echo.
+
+    The page states both bounds. The outline is at √(d² − a²) of a ball of radius a at the distance d.
+    """
+    radius, distance = 1.5, 6.0
+    ball = sg.Body("ball", trimesh.creation.icosphere(5, radius), sg.pose(distance), 0.5)
+    sonar = sg.load_sonar("p900-45").with_range(8.0)
+    with sg.Simulator(sg.Scene([ball]), sonar, acoustics, tolerance=tolerance) as simulator:
+        got = simulator.ping(HERE, labels=True)
+    outline = math.sqrt(distance**2 - radius**2)
+    behind = (got.body_id > 0) & (got.range_m > outline + sonar.bin_size_m)
+    assert behind.sum() < 0.3 * (got.body_id > 0).sum()
+    assert got.intensity[behind].sum() < tolerance / 50 * got.intensity.sum()
+
+
 @pytest.mark.parametrize("rows", [40, 80, 160])
 def test_a_shadow_ends_within_half_a_sample(rows):
     """The end of a shadow on a floor errs by at most half a row, r² Δφ / 2h in range, besides whole bins."""
