@@ -168,7 +168,7 @@ class AdaptiveSampling:
         self._stages.settle(resolution.stage.fan.n_samples)
         if self.choice.is_due and not check:  # before the check, which would have to make it
             self._model.coarser_stage(resolution.stage)
-        return replace(resolution, check=check)
+        return replace(resolution, check=True) if check else resolution
 
     def review(self, received: ReceivedPing) -> Resolution | None:
         """Estimate the error of a ping if that is due; return other samples if it is to be sampled again.

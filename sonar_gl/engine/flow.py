@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -86,7 +87,7 @@ class Resolution:
     """How finely a ping is sampled.
 
     stage : Stage of the direct view
-    halvings : how often rows are halved for image sources; None until that is chosen
+    halvings : how often rows are halved for image sources; None without any, and until that is chosen
     check : the error of this ping is to be estimated
     is_final : the ping is good whatever a check would say: these samples have just been chosen for it
     finer_images : image sources alone are to be drawn once more, since they were sampled too coarsely
@@ -148,7 +149,7 @@ class DrawnPing:
     images: ImageSourceSamples | None = None
     further: FurtherViews = NO_FURTHER_VIEWS
 
-    @property
+    @cached_property
     def coverage(self) -> Coverage:
         """As of `Stage.coverage`; first asked for while the samples are valid."""
         return self.resolution.stage.coverage(self.view)

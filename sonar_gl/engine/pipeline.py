@@ -160,13 +160,17 @@ def _sample_until_kept(run: Run, setup: PingSetup) -> ReceivedPing:
 
 def _sample_once(run: Run, setup: PingSetup, resolution: Resolution) -> ReceivedPing:
     """Draw and receive a ping once, and choose how finely its image sources are sampled."""
-    halvings = run.image_sampling.begin(resolution.check, resolution.stage.fan.n_samples)
-    resolution = replace(resolution, halvings=halvings)
-    (drawn,) = draw(run.image_sources, [setup], resolution)
+    sources = run.image_sources
+    if sources is not None:
+        halvings = run.image_sampling.begin(resolution.check, resolution.stage.fan.n_samples)
+        resolution = replace(resolution, halvings=halvings)
+    (drawn,) = draw(sources, [setup], resolution)
     affordable = run.sampler.affordable(drawn)
     if affordable.stage is not resolution.stage:
-        (drawn,) = draw(run.image_sources, [setup], affordable)
-    return receive(replace(drawn, resolution=affordable))
+        (drawn,) = draw(sources, [setup], affordable)
+    elif affordable is not resolution:
+        drawn = replace(drawn, resolution=affordable)
+    return receive(drawn)
 
 
 def _sample_apart(run: Run, setup: PingSetup) -> tuple[ReceivedPing | None, Resolution | None]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain, count, pairwise
 from typing import NamedTuple
 
@@ -107,22 +108,22 @@ class Fan:
     wide_edges: np.ndarray = field(repr=False)
     are_cones: bool = False
 
-    @property
+    @cached_property
     def max_sine(self) -> float:
         """Sine of `max_elevation_rad`."""
         return math.sin(self.max_elevation_rad)
 
-    @property
+    @cached_property
     def n_columns(self) -> int:
         """Number of columns of the whole fan."""
         return len(self.column_edges_rad) - 1
 
-    @property
+    @cached_property
     def n_samples(self) -> int:
         """Number of samples of all sectors: beyond field of view and aperture, too, and in the side lobes."""
         return sum(sector.rows * sector.columns for sector in self.sectors)
 
-    @property
+    @cached_property
     def n_wide_columns(self) -> int:
         """Number of wide columns."""
         return len(self.wide_edges) - 1

@@ -174,7 +174,7 @@ class ViewSamples:
     is_lit: bool = False
     n_faces: int = 0
 
-    @property
+    @cached_property
     def n_samples(self) -> int:
         """How many samples were drawn."""
         return sum(one.sector.columns * one.sector.rows for one in self.sectors)
