@@ -49,16 +49,13 @@ def sample(run: Run, setup: PingSetup) -> tuple[ReceivedPing, PingReport]:
 
     Call it inside `Run.drawing`. Later pings do not depend on one that fails here.
     """
-    history = run.sampler.history
+    before = run.choices, run.sampler.history
     try:
-        with (
-            run.choices_kept(),
-            run.image_sampling.without_plan() if setup.request.alone else nullcontext(),
-        ):
+        with run.image_sampling.without_plan() if setup.request.alone else nullcontext():
             received = _sample_until_kept(run, run.with_later_bodies(setup))
             return received, run.report(received)
     except BaseException:
-        run.sampler.history = history
+        run.choices, run.sampler.history = before
         raise
 
 

@@ -201,15 +201,23 @@ class Run:
         state = setup.state.with_absent(n)
         return replace(setup, state=state, background=background, texture=texture)
 
+    @property
+    def choices(self) -> tuple:
+        """What chooses samples, of the direct view and of image sources, as it is now; may be put back."""
+        return self.sampler.choice, self.image_sampling.choice
+
+    @choices.setter
+    def choices(self, before: tuple):
+        self.sampler.choice, self.image_sampling.choice = before
+
     @contextmanager
     def choices_kept(self):
         """Have a block that fails, or is interrupted, leave the choices of samples as they were."""
-        sampler, images = self.sampler, self.image_sampling
-        before = sampler.choice, images.choice
+        before = self.choices
         try:
             yield
         except BaseException:
-            sampler.choice, images.choice = before
+            self.choices = before
             raise
 
     @property
@@ -341,11 +349,11 @@ class Run:
         """
         setup = received.drawn.setup
         self._warn_of_body(setup)
-        no_echo = (
-            ECHO_LOST if self.silent_pings.has_lost_echo(received.total, self._is_live(received)) else None
-        )
-        is_to_explain = self.is_to_explain(received)
-        self.silent_pings.add(received.total)
+        no_echo, total, is_live = None, received.total, self._is_live(received)
+        if self.silent_pings.has_lost_echo(total, is_live):
+            no_echo = ECHO_LOST
+        is_to_explain = self.silent_pings.is_to_explain(total, is_live)
+        self.silent_pings.add(total)
         if is_to_explain:
             instrument, view = self.instrument, received.drawn.view.sectors
             no_echo = why_no_echo(self.world.scene, setup.state, instrument, setup.head_pose, view)
