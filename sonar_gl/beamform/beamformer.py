@@ -249,7 +249,7 @@ class Beamformer:
         self._all_strips = tuple(strips_within(first, table, half, received) for half in self._column_halves)
         self.strips = tuple(by_sector(*strips) for strips in self._all_strips)
         self._wide_shares = fan.wide_shares
-        self._strips_per_column = np.array([len(one.strips.middle) / one.columns for one in fan.sectors])
+        self._strips_per_column = [len(one.strips.middle) / one.columns for one in fan.sectors]
 
     @cached_property
     def mirrored_strips(self) -> tuple:
@@ -392,7 +392,10 @@ class Beamformer:
         """Return about how many rows of strips some images have."""
         n_rows = 0.0
         for (*_, (places, *_)), sectors in images:
-            n_rows += self._strips_per_column[sectors][: len(places)] @ (places[:, 1] * places[:, 2])
+            for per_column, (_, columns, rows) in zip(
+                self._strips_per_column[sectors], places.tolist(), strict=False
+            ):
+                n_rows += per_column * columns * rows
         return n_rows
 
     def sum_image_sources(
