@@ -49,17 +49,19 @@ def frozen_array(array, dtype, shape: tuple, what: str, hint: str = "", shares: 
             raise _shape_error(what, shape, _parts_text(array), hint) from None
         got = shown(array) if isinstance(why, TypeError) else f"{type(array).__name__}: {why}"
         raise Error(f"{what} must be an array of numbers (got {got})") from None
-    if len(out.shape) != len(shape) or any(
-        want not in (None, got) for want, got in zip(shape, out.shape, strict=True)
-    ):
+    if out.shape != shape and not _fits(out.shape, shape):
         raise _shape_error(what, shape, out.shape, hint)
     if np.ma.is_masked(array):
         raise Error(f"{what} must be an array of numbers (got masked ones; fill them in, or leave them out)")
-    if not np.isfinite(out).all():
-        count = int(out.size - np.isfinite(out).sum())
+    if count := out.size - np.count_nonzero(np.isfinite(out)):
         raise Error(f"{what} must be finite (got NaN or infinity in {count} of {out.size} numbers)")
     out.setflags(write=False)
     return out
+
+
+def _fits(got: tuple, wanted: tuple) -> bool:
+    """Return whether the lengths of an array are those that are wanted, of which None is any."""
+    return len(got) == len(wanted) and all(want in (None, n) for want, n in zip(wanted, got, strict=True))
 
 
 def _shape_error(what: str, shape: tuple, got, hint: str) -> Error:

@@ -81,8 +81,7 @@ class PingRequest:
             "labels": bool(self.labels),
             "background": _names(self.background),
         }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(checked)
         if self.label_level_db is not None:
             level_db = check_number(
                 "label_level_db", self.label_level_db, -LEVEL_BOUND_DB, LEVEL_BOUND_DB, "give dB"
