@@ -481,7 +481,5 @@ def _usual(costs: Sequence[float]) -> float:
 
 def _view_of(setup: PingSetup) -> int:
     """Return a hash of what determines the echo of a ping: where all is, and how much it and the water return."""
-    state = setup.state
-    arrays = setup.head_pose, state.present, state.poses, state.reflectivity, state.bubbles, setup.gain
     # plus 0, since -0.0 has other bytes
-    return hash(tuple(None if one is None else (one + 0).tobytes() for one in arrays))
+    return hash(((setup.head_pose + 0).tobytes(), setup.state.echo_hash, setup.gain.tobytes()))

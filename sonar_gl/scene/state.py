@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,6 +31,13 @@ class SceneState:
     bubbles: np.ndarray | None = None
     time_s: float | None = None
     reflectivity: np.ndarray | None = None
+
+    @cached_property
+    def echo_hash(self) -> int:
+        """A hash of what determines the echo: where bodies and bubbles are, and what bodies reflect."""
+        arrays = self.present, self.poses, self.reflectivity, self.bubbles
+        # plus 0, since -0.0 has other bytes
+        return hash(tuple(None if one is None else (one + 0).tobytes() for one in arrays))
 
     def only(self, mask: np.ndarray) -> SceneState:
         """Return this state without the bodies for which the (n,) mask is False."""
