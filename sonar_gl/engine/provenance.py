@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass
 
 from sonar_gl._version import __version__
@@ -29,18 +28,34 @@ class SampleOrigin:
     engine: str = "host"
 
 
+class _Template:
+    """A table, or a list, of plain values, to be copied with the tables and lists in it: much quicker than deepcopy."""
+
+    def __init__(self, values: dict | list):
+        self._values = values
+        items = values.items() if isinstance(values, dict) else enumerate(values)
+        self._parts = [(key, _Template(value)) for key, value in items if isinstance(value, (dict, list))]
+
+    def copy(self) -> dict | list:
+        """Return a copy, which shares nothing that can be changed."""
+        out = self._values.copy()
+        for key, part in self._parts:
+            out[key] = part.copy()
+        return out
+
+
 class Provenance:
     """Makes the `meta` of pings of one sonar."""
 
     def __init__(self, sonar: Sonar, acoustics: Acoustics):
-        self._sonar, self._acoustics, self._last = sonar, acoustics, (None, b"")
+        self._sonar, self._acoustics, self._last = sonar, acoustics, (None, None)
 
     def meta(self, origin: SampleOrigin, acoustics: Acoustics, **own) -> dict:
         """Return the meta of a ping; `own` is of this ping alone. Threads may call it at once."""
         last = self._last  # read once, and replaced as a whole
         if origin is not last[0] and origin != last[0]:
-            last = self._last = origin, pickle.dumps(self._described(origin))
-        meta = pickle.loads(last[1]) | own  # each ping gets its own, in a twentieth of the time of deepcopy
+            last = self._last = origin, _Template(self._described(origin))
+        meta = last[1].copy() | own  # each ping gets its own
         if acoustics is not self._acoustics:
             meta |= self._water(acoustics)
         return meta
