@@ -129,7 +129,7 @@ class FurtherStates(NamedTuple):
 
     def drawn(self, views: Iterator[ViewSamples]) -> FurtherViews:
         """Return the views of these states, which it takes from `views` in their order."""
-        return FurtherViews(*(None if state is None else next(views) for state in self))
+        return FurtherViews(*[None if state is None else next(views) for state in self])
 
 
 NO_FURTHER_VIEWS = FurtherViews()

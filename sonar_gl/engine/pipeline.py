@@ -74,8 +74,9 @@ def draw(
     further = [further_states(setup) for setup in setups]
     poses, states = [setup.head_pose for setup in setups], [setup.state for setup in setups]
     for setup, more in zip(setups, further, strict=True):
-        poses += [setup.head_pose] * len(more.needed)
-        states += more.needed
+        needed = more.needed
+        poses += [setup.head_pose] * len(needed)
+        states += needed
     drawn = resolution.stage.draw(poses, states, with_bodies=True, keep_last=keep_last)
     views, further_views = drawn[: len(setups)], iter(drawn[len(setups) :])
     images = draw_images(sources, resolution, views, setups)
@@ -323,10 +324,11 @@ def labels_of_all_echo(received: ReceivedPing) -> Labels | None:
 
     Call it before `filtered_powers`, which adds the other echoes to the direct one in place.
     """
-    labels, more = received.labels, [echo.intensity for echo in received.others if echo.total]
-    if labels is None or not more:
-        return labels
-    return of_all_echo(labels, received.direct.intensity, sum(more[1:], more[0]))
+    labels = received.labels
+    if labels is None:
+        return None
+    more = [echo.intensity for echo in received.others if echo.total]
+    return of_all_echo(labels, received.direct.intensity, sum(more[1:], more[0])) if more else labels
 
 
 def filtered_powers(received: ReceivedPing, thread: SecondThread | None) -> dict[str, np.ndarray | None]:

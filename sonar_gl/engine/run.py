@@ -26,6 +26,7 @@ from sonar_gl.engine.stage import StageCache
 from sonar_gl.engine.world import IN_USE, World
 from sonar_gl.raster.views import MAX_CHOSEN_SAMPLES, MAX_SAMPLES
 from sonar_gl.scene.extent import AirWarning, InsideWarning, air_text, inside_text
+from sonar_gl.scene.scene import Scene
 from sonar_gl.scene.state import SceneState
 from sonar_gl.sonar.sampling import Sampling
 from sonar_gl.sonar.sonar import Sonar
@@ -140,18 +141,19 @@ class Run:
 
     def resolve(self, request: PingRequest) -> PingSetup:
         """Return what `set_up` returns; call it inside `drawing`."""
-        world, bubbles = self.world, self.instrument.acoustics.bubbles
-        self._warn_of_air(request.pose)
+        world, bubbles, needs_parts = self.world, self.instrument.acoustics.bubbles, request.needs_noise_parts
+        scene = world.scene
+        self._warn_of_air(scene, request.pose)
         state = world.state_of(request.bodies, request.time_s, bubbles, request.reflectivity)
         return self.instrument.set_up(
             request,
             state,
-            len(world.scene.bodies),
+            len(scene.bodies),
             background=None if request.background is None else world.mask_of(request.background),
-            surface_z_m=world.scene.surface_z_m,
-            needs_lobes=request.needs_noise_parts and self._returns_lobes(state),
-            texture=self._texture_of(state) if request.needs_noise_parts else None,
-            n_plumes=len(world.scene.plumes),
+            surface_z_m=scene.surface_z_m,
+            needs_lobes=needs_parts and self._returns_lobes(state),
+            texture=self._texture_of(state) if needs_parts else None,
+            n_plumes=len(scene.plumes),
         )
 
     def _returns_lobes(self, state: SceneState) -> bool:
@@ -173,9 +175,9 @@ class Run:
         shapes = [np.inf if one.speckle_shape is None else one.speckle_shape for one in bodies]
         return np.float32((own if state.reflectivity is None else state.reflectivity) / np.sqrt(shapes))
 
-    def _warn_of_air(self, pose: np.ndarray) -> None:
+    def _warn_of_air(self, scene: Scene, pose: np.ndarray) -> None:
         """Warn, once, of a sonar above the water's surface."""
-        if not self._has_warned_of_air and (text := air_text(self.world.scene, pose)):
+        if not self._has_warned_of_air and (text := air_text(scene, pose)):
             self._has_warned_of_air = True
             warn_caller(text, AirWarning)
 

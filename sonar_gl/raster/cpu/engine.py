@@ -229,10 +229,9 @@ class CpuRenderer:
         found = meshes.choose(self._stacked, bodies, chosen)
         if full:
             found[:, 2:] = [view.whole for view in self._sectors]
-        rows = found.tolist()
-        windows = [Window(*row[2:]) for row in rows]
-        n_faces, n_most = sum(row[1] for row in rows), max(row[1] for row in rows)
-        width, height = sum(w.columns for w in windows), max(w.rows for w in windows)
+        windows = [Window(*row[2:]) for row in found.tolist()]
+        _, faces, _, _, columns, rows = found.T.tolist()
+        width, height = sum(columns), max(rows)
         workspace.check_samples(width, height)
         samples = images[0].take(width, height, with_bodies)
         if not self._engine.contents.patches:
@@ -242,11 +241,11 @@ class CpuRenderer:
         plane = NO_PLANE if bodies.plane is None else bodies.plane
         closed = meshes.boxes.closed
         placed = PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
-        work_ns = FACE_NS * n_faces + SAMPLE_NS * width * height * len(images)
+        work_ns = FACE_NS * sum(faces) + SAMPLE_NS * width * height * len(images)
         lobes = images[1].take_lobes(width, height) if len(images) > 1 else NO_LOBES
         is_whole = half is not None or self._thread is None or work_ns < FEW_NS
         n_parts = 1 if is_whole else 2
-        most = n_most, max(w.rows * math.ceil(w.columns / n_parts) for w in windows)
+        most = max(faces), max(w.rows * math.ceil(w.columns / n_parts) for w in windows)
         drawn = tuple(placed), bodies.has_lobes, chosen, found, most, samples, lobes
         if is_whole:
             parts = [self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)]
@@ -256,7 +255,7 @@ class CpuRenderer:
             )
         is_met, lit = (np.array(one) for one in zip(*parts, strict=True))
         is_dark = tuple((~is_met.any(axis=0)).tolist())
-        whole = self._layout.samples(windows, *samples, bodies.spans, is_dark, n_faces)
+        whole = self._layout.samples(windows, *samples, bodies.spans, is_dark, sum(faces))
         if len(images) == 1:
             return [whole]
         first, past = lit.min(axis=0), lit.max(axis=0)
