@@ -97,15 +97,19 @@ class Run:
 
         The block waits for the pings that other threads still make, except for those of `beside`.
         """
-        with self.world.drawing() as context:
-            awaited = [job for job in self._in_flight if job not in beside]
-            for job in awaited:
-                job.check_free()  # first: one that another thread does may wait for what this thread's job holds
-            for job in awaited:
-                job.settle()
-            self._in_flight = [job for job in self._in_flight if not job.is_over]  # they hold arrays
-            self.check_open()  # it may have been closed while this one waited
-            yield context
+        world = self.world
+        with world.unchanged():
+            if world.thread is not None:
+                world.thread.settle()
+            with world.engine.drawing() as context:
+                awaited = [job for job in self._in_flight if job not in beside]
+                for job in awaited:
+                    job.check_free()  # first: one that another thread does may wait for what this thread's job holds
+                for job in awaited:
+                    job.settle()
+                self._in_flight = [job for job in self._in_flight if not job.is_over]  # they hold arrays
+                self.check_open()  # it may have been closed while this one waited
+                yield context
 
     def receive_later(self, work: Callable[[], list]) -> Job:
         """Return a job that sums pings into arrays of this run, for another thread to do; `drawing` waits for it.

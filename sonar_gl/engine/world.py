@@ -89,17 +89,8 @@ class World:
                 raise closed_error("Simulator")
             yield
 
-    @contextmanager
-    def drawing(self):
-        """Have the engine ready to draw for the time of the block, in one thread at a time."""
-        with self.unchanged():
-            if self.thread is not None:
-                self.thread.settle()
-            with self.engine.drawing() as context:
-                yield context
-
     def await_job(self, job: Job) -> None:
-        """Have `add` wait for a job, of any user, that draws in another thread; inside `drawing`."""
+        """Have `add` wait for a job, of any user, that draws in another thread; inside `Run.drawing`."""
         self._jobs.add(job)
 
     def state_of(self, bodies, time_s=None, needs_bubbles: bool = False, reflectivity=None) -> SceneState:

@@ -32,7 +32,7 @@ PINGS, WARM_UP = 1200, 400  # caches are full by then
 
 def loader_of(simulator):
     """Return the EglContext or HostContext that a simulator draws in."""
-    with simulator.world.drawing() as context:
+    with simulator.run.drawing() as context:
         return context.extra
 
 
