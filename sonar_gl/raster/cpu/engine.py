@@ -253,11 +253,12 @@ class CpuRenderer:
             parts = self._thread.run_halves(
                 lambda part: self._draw_part(workspace.halves[part], part, 2, *drawn)
             )
-        is_met, lit = (np.array(one) for one in zip(*parts, strict=True))
-        is_dark = tuple((~is_met.any(axis=0)).tolist())
+        met_by_parts = zip(*(is_met.tolist() for is_met, _ in parts), strict=True)
+        is_dark = tuple(not any(is_met) for is_met in met_by_parts)
         whole = self._layout.samples(windows, *samples, bodies.spans, is_dark, sum(faces))
         if len(images) == 1:
             return [whole]
+        lit = np.stack([lit for _, lit in parts])
         first, past = lit.min(axis=0), lit.max(axis=0)
         limits = np.stack([first[:, 0], past[:, 1], first[:, 2], past[:, 3]], axis=1)
         return [whole, _lobes_alone(whole, samples, lobes, limits, images[1], self._dark)]
