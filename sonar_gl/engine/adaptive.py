@@ -274,10 +274,11 @@ class AdaptiveSampling:
     def _cost(self, level: int, coverage: Coverage) -> float:
         """Return about what a ping costs without a check of its error, in samples that met a body."""
         stage = self.resolution.stage
-        per_count = stage.fan.n_samples / stage.sampling.count(self._sonar)
-        # each ping asks for that of its own level, which the stage has at hand
-        sampling = stage.sampling if level == self.choice.level else self._model.sampling_at(level)
-        return self._cost_of(per_count * sampling.count(self._sonar), coverage)
+        n_samples = stage.fan.n_samples
+        if level != self.choice.level:  # each ping asks for that of its own level, whose samples the fan has counted
+            others = self._model.sampling_at(level)
+            n_samples *= others.count(self._sonar) / stage.sampling.count(self._sonar)
+        return self._cost_of(n_samples, coverage)
 
     def _cost_of(self, n_samples: float, coverage: Coverage) -> float:
         return cost_of(self._sonar, self._stages.acoustics, n_samples, coverage)
