@@ -275,7 +275,8 @@ class AdaptiveSampling:
         """Return about what a ping costs without a check of its error, in samples that met a body."""
         stage = self.resolution.stage
         n_samples = stage.fan.n_samples
-        if level != self.choice.level:  # each ping asks for that of its own level, whose samples the fan has counted
+        # each ping asks for that of its own level, whose samples the fan has counted
+        if level != self.choice.level:
             others = self._model.sampling_at(level)
             n_samples *= others.count(self._sonar) / stage.sampling.count(self._sonar)
         return self._cost_of(n_samples, coverage)
