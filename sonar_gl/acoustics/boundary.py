@@ -1,7 +1,7 @@
 """Backscatter and reflection at boundaries, before any gain; cross sections of bubbles.
 
-`plane_of`, `cos_times_range`, `cos_incidence` and `specular_lobe` are the NumPy twins of the functions of the same
-names in shaders/plane.glsl and shaders/echo.glsl. `lobe_times_range` there has its twin in the engine cpu, compiled.
+`plane_of`, `cos_incidence` and `specular_lobe` are the NumPy twins of the functions of the same names in
+shaders/plane.glsl and shaders/echo.glsl. `lobe_times_range` there has its twin in the engine cpu, compiled.
 """
 
 from __future__ import annotations
@@ -72,24 +72,6 @@ def plane_of(depth_inverse, slopes, at):
     """
     x = depth_inverse - (slopes * at).sum(axis=-1)
     return np.stack([x, -slopes[..., 0], slopes[..., 1]], axis=-1)
-
-
-def cos_times_range(plane, depth_inverse, at, normal):
-    """Return (...) cos θ times slant range, metres, where a ray meets a plane.
-
-    plane : (..., 3) p of `plane_of`, 1/metres
-    depth_inverse, at : as for `plane_of`
-    normal : (..., 3) normal of any length and on either side, which determines cos θ; where it is 0 the plane does
-
-    >>> float(cos_times_range(np.array([0.25, 0, 0]), np.array(0.25), np.array([0.1, 0.2]), np.zeros(3)))
-    4.0
-    """
-    ray = np.stack([np.ones_like(depth_inverse), -at[..., 0], at[..., 1]], axis=-1)
-    length, largest = np.linalg.norm(ray, axis=-1), np.abs(normal).max(axis=-1, keepdims=True)
-    scaled = normal / np.where(largest > 0, largest, 1)  # whose squares neither overflow nor vanish
-    side = np.sign(-(scaled * plane).sum(axis=-1)) / np.maximum(np.linalg.norm(scaled, axis=-1), 1)
-    shaded = cos_incidence(scaled * side[..., None], ray / length[..., None]) * length / depth_inverse
-    return np.where(largest[..., 0] > 0, shaded, 1 / np.linalg.norm(plane, axis=-1))
 
 
 def rayleigh_reflection(grazing_rad, density_ratio, speed_ratio, loss=0.0):

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 import sonar_gl as sg
-from sonar_gl.acoustics.boundary import cos_incidence, cos_times_range, plane_of
+from sonar_gl.acoustics.boundary import cos_incidence, plane_of
 from sonar_gl.gl import context as gl
 from sonar_gl.gl import memory
 from sonar_gl.gl import shaders as programs
@@ -204,8 +204,14 @@ def test_glsl_functions_of_planes_equal_their_numpy_twins():
     got = glsl.call(
         "plane.glsl", inputs | {"n": normal}, "cos_times_range(plane_of(q, slopes, at), q, at, n)"
     )[:, 0]
-    normal = normal.astype(float)
-    want = cos_times_range(planes, q.astype(float), at.astype(float), normal)
+    normal, ray = normal.astype(float), np.stack([np.ones(len(at)), -at[:, 0], at[:, 1]], axis=-1)
+    length = np.linalg.norm(ray, axis=1, keepdims=True)
+    sides = np.sign(
+        -(normal * planes).sum(axis=1, keepdims=True)
+    )  # p . x = 1, so that -p points to the sonar
+    turned = sides * normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-40)
+    flat = 1 / np.linalg.norm(planes, axis=1)  # the distance of the plane
+    want = np.where(normal.any(axis=1), cos_incidence(turned, ray / length) * length[:, 0] / q, flat)
     # near grazing incidence rounding decides on which side of the plane the normal is
     clear = np.abs((planes * normal).sum(axis=1)) > 1e-5 * np.linalg.norm(normal, axis=1)
     clear |= ~normal.any(axis=1)
