@@ -292,7 +292,7 @@ class OpticalOutput(Output):
             # a finite depth is a point to readers of ROS, 0 one at the camera (REP 118)
             seen_m = np.where(depth_m > 0, depth_m, np.float32(np.nan))
             self.records[request.number] = CameraRecord(
-                request.time_s, "camera", pose, self.camera.intrinsics, rgb, seen_m, request.vehicle_pose
+                request.time_s, pose, self.camera.intrinsics, rgb, seen_m, request.vehicle_pose
             )
 
 

@@ -32,7 +32,7 @@ from sonar_gl.imaging.files import whole_numbers
 from sonar_gl.ping import Ping
 from sonar_gl.ros.messages import BEAMS, TF, TF_STATIC, message_types, nanoseconds
 
-WORLD, VEHICLE = "world", "base_link"  # frames
+WORLD, VEHICLE, CAMERA = "world", "base_link", "camera"  # frames
 CHUNK_BYTES = 1 << 20
 METADATA_VERSION = 8  # read by ROS 2 Iron and later
 FOREVER = {"sec": 9223372036, "nsec": 854775807}  # 2⁶³ − 1 ns, as ROS writes it
@@ -109,7 +109,6 @@ class CameraRecord:
     Attributes
     ----------
     time_s, vehicle_pose : as for a PingRecord
-    camera : name of the camera
     pose : (4, 4) world_from_camera, x forward, y to port, z up, as for a sonar
     intrinsics : (3, 3), as for `Camera`; pixels count from the centre of the first
     picture : (H, W) or (H, W, 3) RGB, uint8 or float 0..1
@@ -117,7 +116,6 @@ class CameraRecord:
     """
 
     time_s: float
-    camera: str
     pose: np.ndarray
     intrinsics: np.ndarray
     picture: np.ndarray
@@ -161,7 +159,7 @@ class _PartWriter:
         self.file, self.settings, self.types = file, settings, file.types
         self.time_ns = -1  # of the last record
         self._placed, self._fixed = set(), {}  # frames placed at that time; static transforms by frame
-        self._names = {WORLD: "of a frame", VEHICLE: "of a frame"}
+        self._names = dict.fromkeys((WORLD, VEHICLE, CAMERA), "of a frame")
 
     def add(self, record) -> None:
         time_ns = nanoseconds(record.time_s)
@@ -173,7 +171,7 @@ class _PartWriter:
         (self._add_ping if isinstance(record, PingRecord) else self._add_camera)(record)
 
     def _add_ping(self, record: PingRecord) -> None:
-        name, ping = self._name(record.sonar, "sonar"), record.ping
+        name, ping = self._name(record.sonar), record.ping
         turn = BEAMS[self.settings.y_sign]
         if ping.sonar is not None:
             turn = ping.sonar.sonar_from_head[:3, :3] @ turn
@@ -182,12 +180,11 @@ class _PartWriter:
         self._put_picture(name, header, record)
 
     def _add_camera(self, record: CameraRecord) -> None:
-        name = self._name(record.camera, "camera")
-        header = self._place(name, record.pose, "_optical", SONAR_FROM_OPTICAL, record.vehicle_pose)
-        self._put_picture(name, header, record)
-        self._put(f"/{name}/depth", self.types.image(header, record.depth_m))
+        header = self._place(CAMERA, record.pose, "_optical", SONAR_FROM_OPTICAL, record.vehicle_pose)
+        self._put_picture(CAMERA, header, record)
+        self._put(f"/{CAMERA}/depth", self.types.image(header, record.depth_m))
         info = self.types.camera_info(header, *record.depth_m.shape, record.intrinsics)
-        self._put(f"/{name}/camera_info", info)
+        self._put(f"/{CAMERA}/camera_info", info)
 
     def _put_picture(self, name: str, header, record) -> None:
         if record.picture is not None:
@@ -197,14 +194,14 @@ class _PartWriter:
     def _put(self, topic: str, message) -> None:
         self.file.put(self.time_ns, topic, message)
 
-    def _name(self, name: str, kind: str) -> str:
-        """Return a name in a form that ROS allows; an Error if another name has the same form."""
+    def _name(self, name: str) -> str:
+        """Return the name of a sonar in a form that ROS allows; an Error if another name has the same form."""
         short = re.sub("[^A-Za-z0-9]+", "_", name).strip("_")
         if not short[:1].isalpha():
             raise Error(
-                f"the name of a {kind} in a ROS bag must begin with a letter from A to Z (got {name!r})"
+                f"the name of a sonar in a ROS bag must begin with a letter from A to Z (got {name!r})"
             )
-        owner = f"of {kind} {name!r}"
+        owner = f"of sonar {name!r}"
         if self._names.setdefault(short, owner) != owner:
             raise Error(
                 f"names in a ROS bag must differ in letters and digits (got that {owner} and that "

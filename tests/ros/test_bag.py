@@ -270,10 +270,10 @@ def test_a_camera(tmp_path, read):
     colour, depth = rng.integers(0, 256, (3, 5, 3), np.uint8), rng.random((3, 5)).astype(np.float32)
     depth[0, 0] = np.nan
     K = np.array([[400.0, 0.0, 2.0], [0.0, 410.0, 1.0], [0.0, 0.0, 1.0]])
-    camera = CameraRecord(2.0, "eye", SONAR, K, colour, depth, VEHICLE)
+    camera = CameraRecord(2.0, SONAR, K, colour, depth, VEHICLE)
     messages = read(write(tmp_path, camera))
-    image, distance, info = (only(messages, f"/eye/{name}") for name in ("image", "depth", "camera_info"))
-    assert {m.header.frame_id for m in (image, distance, info)} == {"eye_optical"}
+    image, distance, info = (only(messages, f"/camera/{name}") for name in ("image", "depth", "camera_info"))
+    assert {m.header.frame_id for m in (image, distance, info)} == {"camera_optical"}
     assert {m.header.stamp.sec for m in (image, distance, info)} == {2}
     assert (image.encoding, image.step) == ("rgb8", 15) and bytes(image.data) == colour.tobytes()
     assert (distance.encoding, distance.step) == ("32FC1", 20) and bytes(distance.data) == depth.tobytes()
@@ -282,7 +282,7 @@ def test_a_camera(tmp_path, read):
     assert list(info.r) == np.eye(3).ravel().tolist()
     assert list(info.p) == np.hstack([K, np.zeros((3, 1))]).ravel().tolist()
     assert (info.binning_x, info.roi.do_rectify) == (0, False)
-    turn = np.linalg.inv(SONAR) @ placed(messages, "eye_optical")
+    turn = np.linalg.inv(SONAR) @ placed(messages, "camera_optical")
     expected = [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
     np.testing.assert_allclose(turn, expected, atol=1e-7)
 
@@ -291,7 +291,7 @@ def split_bag(folder):
     """Make a bag of two parts with two sonars, one part with a camera that comes late."""
     folder.mkdir(exist_ok=True)
     eye = CameraRecord(
-        1.0, "eye", SONAR, np.eye(3), np.zeros((2, 2), np.uint8), np.ones((2, 2), np.float32), VEHICLE
+        1.0, SONAR, np.eye(3), np.zeros((2, 2), np.uint8), np.ones((2, 2), np.float32), VEHICLE
     )
     times = 0.1 + 0.5 * np.arange(5)
     pings = [[record(t, name) for name in ("left", "right")] for t in times]
@@ -314,7 +314,7 @@ def test_a_bag_of_two_parts(tmp_path):
         assert reader.message_count == len(messages)
         counts = {topic: info.msgcount for topic, info in reader.topics.items()}
         assert counts["/left/projected_image"] == counts["/right/projected_image"] == 5
-        assert counts["/eye/image"] == counts["/eye/camera_info"] == 1
+        assert counts["/camera/image"] == counts["/camera/camera_info"] == 1
         assert counts["/tf_static"] == 5  # each part repeats them, as frames come
         files = {file["path"]: file for file in reader.storage.files}
         assert list(files) == ["b.mcap", "a.mcap"]
@@ -341,7 +341,7 @@ def test_a_bag_of_two_parts(tmp_path):
 def test_the_last_message_of_tf_static_has_all_frames(tmp_path):
     _, first, second = split_bag(tmp_path / "bag")
     for path, frames in (
-        (first, ["left_beams", "right_beams", "eye_optical"]),
+        (first, ["left_beams", "right_beams", "camera_optical"]),
         (second, ["left_beams", "right_beams"]),
     ):
         *_, last = [m for topic, _, m in by_mcap(path) if topic == "/tf_static"]
