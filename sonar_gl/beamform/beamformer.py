@@ -141,7 +141,7 @@ def beam_shape(sonar: Sonar, acoustics: Acoustics, side_lobes: bool = True) -> B
     has_transmit_beam = acoustics.transmit_pattern(sonar) is not None
     beams = BeamShape(
         acoustics.receive_support_rad(sonar),
-        is_box=acoustics.receive_pattern(sonar) is None,
+        is_box=acoustics.beam_pattern == "box",
         are_cones=acoustics.has_cones(sonar),
         transmit_width_rad=math.radians(sonar.transmit_width_deg) if has_transmit_beam else math.inf,
     )
