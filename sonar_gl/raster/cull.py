@@ -98,7 +98,7 @@ def _square_of_scale(m):
 
 
 @compiled
-def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
+def place_bodies(poses, present, bodies, pose, near_m, matrices, table):
     """Compute the poses of bodies relative to the sonar, in float64 before they are rounded.
 
     Returns whether back faces may be culled: the sonar is in the box of no closed body.
@@ -106,7 +106,7 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
     poses : (n, 4, 4) world_from_body; present : (n,) bool
     bodies : tuple of BodyBoxes
     pose : (4, 4) world_from_sonar
-    matrices : (n, 3, 4) sonar_from_body about the centre, overwritten; rows : (n, PER_BODY), the same in float32, in
+    matrices : (n, 3, 4) sonar_from_body about the centre, overwritten; table : (n, PER_BODY), the same in float32, in
         the first 12 of its columns
     """
     centres, bounds, _, closed, _, _ = bodies
@@ -127,7 +127,7 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, rows):
                 moved += total * centres[n, j]
             m[i, 3] = moved
             for j in range(4):
-                rows[n, 4 * i + j] = m[i, j]
+                table[n, 4 * i + j] = m[i, j]
         if closed[n] != 0:
             inside, square = True, _square_of_scale(m)
             near = CORNER * near_m / math.sqrt(square)
@@ -284,20 +284,20 @@ def _is_turned_away(box, cone, i, ray):
 
 
 @compiled
-def choose_patches(tree, bodies, places, view, limits, chosen):
+def choose_patches(tree, bodies, placed, view, limits, chosen):
     """Choose the patches that a sector draws, and the window of samples about their bodies.
 
     Returns how many are chosen, how many faces they have, and of the window the first column, the first row, the
     columns and the rows, all 0 where no sample may meet a body.
 
     tree, bodies, view, limits : PatchTree, BodyBoxes, SectorGeometry and DetailLimits, as plain tuples
-    places : (n,) bool, which bodies are present; matrices and rows of `place_bodies`; and whether back faces of closed
+    placed : (n,) bool, which bodies are present; matrices and table of `place_bodies`; and whether back faces of closed
         bodies are not visible
     chosen : (M, 2) int32, patch and body; overwritten
     """
     skip, leaf, error_m, box, cone, moment, whole, n_faces = tree
     _, bounds, _, closed, roots, order = bodies
-    present, matrices, rows, outside = places
+    present, matrices, table, outside = placed
     sector, planes_uv, inverse, corner, size, _, _ = view
     near_m, far_m, range_max_m, error_per_m, most_echo_error = limits
     n, faces_of_all = 0, 0
@@ -309,7 +309,7 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
         b = order[place_in_order]
         if not present[b]:
             continue
-        echo_error = 0.0 if rows[b, LOBE] > 0.0 else most_echo_error
+        echo_error = 0.0 if table[b, LOBE] > 0.0 else most_echo_error
         scale = _turn_to_body(sector, matrices, b, planes, m, eye, normals)
         covered = False
         i, end = roots[b, 0], roots[b, 1]
@@ -345,10 +345,10 @@ def choose_patches(tree, bodies, places, view, limits, chosen):
 
 
 @compiled
-def choose_in_sectors(tree, bodies, places, views, limits, chosen, found):
+def choose_in_sectors(tree, bodies, placed, views, limits, chosen, found):
     """Choose the patches that each of S sectors draws, in one call: handing arrays over takes as long as a small scene.
 
-    tree, bodies, places : of `choose_patches`
+    tree, bodies, placed : of `choose_patches`
     views, limits : of each sector, tuples of SectorGeometry and DetailLimits, whose parts are stacked
     chosen : (S, M, 2) int32, of each sector; overwritten
     found : (S, 6) int64, overwritten with what `choose_patches` returns
@@ -357,6 +357,6 @@ def choose_in_sectors(tree, bodies, places, views, limits, chosen, found):
     for s in range(found.shape[0]):
         view = (views[0][s], views[1][s], views[2][s], views[3][s], views[4][s], views[5][s], views[6][s])
         own = near_m[s], far_m[s], range_max_m[s], error_per_m[s], echo_error[s]
-        one = choose_patches(tree, bodies, places, view, own, chosen[s])
+        one = choose_patches(tree, bodies, placed, view, own, chosen[s])
         for k in range(6):
             found[s, k] = one[k]

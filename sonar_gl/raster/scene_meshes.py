@@ -53,7 +53,7 @@ class SceneMeshes:
     surface_z_m : of the water, which ends there for a sonar in it; or None
     bodies : (n,) array of Body, in the order of their numbers
     state : SceneState, unless a ping has its own
-    rows : (n, PER_BODY) float32, the table of bodies, as of `BodiesInView`; positions not filled in
+    table : (n, PER_BODY) float32, as of `BodiesInView`; positions not filled in
     boxes : BodyBoxes
     levels : the patches of all meshes, one after the other: fields of `Levels` by name
     most_patches : that a sector may choose
@@ -63,7 +63,7 @@ class SceneMeshes:
         self._surface_z_m, self.most_patches = surface_z_m, 0
         self.bodies = np.empty(0, object)
         self.state = SceneState(np.empty((0, 4, 4)), np.empty(0, bool))
-        self.rows = np.empty((0, PER_BODY), np.float32)
+        self.table = np.empty((0, PER_BODY), np.float32)
         self._columns = {
             "centres": np.empty((0, 3)),
             "bounds": np.empty((0, 2, 3)),
@@ -81,7 +81,7 @@ class SceneMeshes:
     @property
     def reflectivity(self) -> np.ndarray:
         """(n,) float32 of bodies, 1 where each face has its own."""
-        return self.rows[:, REFLECTIVITY]
+        return self.table[:, REFLECTIVITY]
 
     @cached_property
     def boxes(self) -> BodyBoxes:
@@ -119,8 +119,8 @@ class SceneMeshes:
             return made
         self._places.update(zip(new, range(len(self._meshes), len(self._meshes) + len(new)), strict=True))
         self._meshes = self._append("meshes", self._meshes, new.values())
-        rows = np.asarray(rows, self.rows.dtype)
-        self.rows = self._room.append("rows", self.rows, [rows])
+        rows = np.asarray(rows, self.table.dtype)
+        self.table = self._room.append("table", self.table, [rows])
         self._has_lobes |= bool((rows[:, LOBE] > 0).any())
         self._columns = {
             name: self._room.append(name, old, [np.asarray(column, old.dtype)])
@@ -169,12 +169,12 @@ class SceneMeshes:
         specular : with the lobes of smooth bodies
         """
         state = state or self.state
-        matrices, rows = np.zeros((len(state.poses), 3, 4)), self.rows.copy()
+        matrices, table = np.zeros((len(state.poses), 3, 4)), self.table.copy()
         if state.reflectivity is not None:
-            rows[:, REFLECTIVITY] = state.reflectivity
+            table[:, REFLECTIVITY] = state.reflectivity
         if not specular:
-            rows[:, LOBE] = 0.0
-        outside = place_bodies(state.poses, state.present, tuple(self.boxes), pose, NEAR_M, matrices, rows)
+            table[:, LOBE] = 0.0
+        outside = place_bodies(state.poses, state.present, tuple(self.boxes), pose, NEAR_M, matrices, table)
         present, is_cut = state.present, np.zeros(len(state.present), bool)
         if plane is None and self._surface_z_m is not None and pose[2, 3] < self._surface_z_m:
             plane = np.append(-pose[2, :3], self._surface_z_m - SURFACE_MARGIN_M - pose[2, 3])
@@ -183,7 +183,7 @@ class SceneMeshes:
             present, is_cut = present & (furthest > 0), nearest < 0
         spans = body_spans(matrices, self.boxes.bounds, self.boxes.extremes)
         has_lobes = specular and self._has_lobes
-        return BodiesInView(present, matrices, rows, outside, has_lobes, plane, is_cut, spans)
+        return BodiesInView(present, matrices, table, outside, has_lobes, plane, is_cut, spans)
 
     def choose(self, views: SectorViews, bodies: BodiesInView, out: np.ndarray) -> np.ndarray:
         """Choose what each of S sectors draws of bodies.
@@ -195,7 +195,7 @@ class SceneMeshes:
         found = np.zeros((len(out), 6), np.int64)
         if len(self.bodies):
             boxes, (geometry, limits) = tuple(self.boxes), views
-            choose_in_sectors(self._tree, boxes, bodies.places, geometry, limits, out, found)
+            choose_in_sectors(self._tree, boxes, bodies.placed, geometry, limits, out, found)
         return found
 
 

@@ -82,7 +82,7 @@ class BodiesInView(NamedTuple):
 
     present : (n,) bool
     matrices : (n, 3, 4) sonar_from_body, about the middle of its mesh
-    rows : (n, PER_BODY) float32, the table of bodies, whose columns `cull` names; no rows of samples
+    table : (n, PER_BODY) float32, whose columns `cull` names
     outside : whether back faces may be culled: the sonar is in the box of no closed body
     has_lobes : whether any has a specular lobe
     plane : (4,) a; only a · (x, y, z, 1) > 0 in the sonar's frame is drawn; or None
@@ -92,7 +92,7 @@ class BodiesInView(NamedTuple):
 
     present: np.ndarray
     matrices: np.ndarray
-    rows: np.ndarray
+    table: np.ndarray
     outside: bool
     has_lobes: bool
     plane: np.ndarray | None
@@ -100,7 +100,7 @@ class BodiesInView(NamedTuple):
     spans: np.ndarray
 
     @property
-    def places(self) -> tuple:
+    def placed(self) -> tuple:
         """What `choose_patches` takes of it."""
         return self[:4]
 

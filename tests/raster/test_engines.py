@@ -135,7 +135,7 @@ def test_the_rasteriser_reads_the_columns_that_scenes_write():
     meshes = SceneMeshes()
     meshes.add([box])
     columns = [tables.ROW_REFLECTIVITY, tables.ROW_STRENGTH, tables.ROW_SLOPE]
-    assert meshes.rows[0, columns].tolist() == [0.25, 0.5, 0.125]
+    assert meshes.table[0, columns].tolist() == [0.25, 0.5, 0.125]
     assert columns[:2] == [cull.REFLECTIVITY, cull.LOBE]
 
 

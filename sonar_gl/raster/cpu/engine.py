@@ -240,7 +240,7 @@ class CpuRenderer:
             return [self._layout.samples(windows, *samples, bodies.spans)] * len(images)
         plane = NO_PLANE if bodies.plane is None else bodies.plane
         closed = meshes.boxes.closed
-        placed = PlacedBodies(bodies.matrices, bodies.rows, bodies.is_cut, closed, bodies.outside, plane)
+        placed = PlacedBodies(bodies.matrices, bodies.table, bodies.is_cut, closed, bodies.outside, plane)
         work_ns = FACE_NS * sum(faces) + SAMPLE_NS * width * height * len(images)
         lobes = images[1].take_lobes(width, height) if len(images) > 1 else NO_LOBES
         is_whole = half is not None or self._thread is None or work_ns < FEW_NS

@@ -165,7 +165,7 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes):
     Parameters
     ----------
     buffer, triangles, view, window : as for `rasterize`
-    bodies_seen : rows of PlacedBodies, and whether any body has a specular lobe
+    bodies_seen : table of PlacedBodies, and whether any body has a specular lobe
     left : column of the image at which the window begins
     image : plane_echo, body_id and face_id of `SectorSamples`: (H, W, 4) float32, (H, W) uint16 and int32; body_id of
         no length if it is not wanted

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-# of `PlacedBodies.rows`, as in `sonar_gl/raster/cull.py`, whose constants these functions must not read
+# of `PlacedBodies.table`, as in `sonar_gl/raster/cull.py`, whose constants these functions must not read
 ROW_REFLECTIVITY, ROW_STRENGTH, ROW_SLOPE = 12, 14, 15
 # of `Triangles.bodies`: faces without shading normals; the echo of FLAT_DIFFUSE is μ cos θ alone
 FLAT, FLAT_DIFFUSE = -1, -2
@@ -40,7 +40,7 @@ class PlacedBodies(NamedTuple):
     """Bodies as seen from one pose.
 
     matrices : (n, 3, 4) sonar_from_body
-    rows : (n, 16), of which ROW_REFLECTIVITY is the reflectivity, ROW_STRENGTH and ROW_SLOPE are of the specular lobe
+    table : (n, 16), of which ROW_REFLECTIVITY is the reflectivity, ROW_STRENGTH and ROW_SLOPE are of the specular lobe
     is_cut : (n,) bool, bodies that the clip plane cuts
     closed : (n,) 0 for open meshes
     outside : back faces of closed bodies are not visible
@@ -48,7 +48,7 @@ class PlacedBodies(NamedTuple):
     """
 
     matrices: np.ndarray
-    rows: np.ndarray
+    table: np.ndarray
     is_cut: np.ndarray
     closed: np.ndarray
     outside: bool
