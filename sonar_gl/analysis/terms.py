@@ -20,9 +20,7 @@ from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.level_search import evenly_picked
 from sonar_gl.engine.request import several_poses
-from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.receiver import common_noise_pattern, receiver_levels_db
-from sonar_gl.noise.ring_down import ring_down_power
+from sonar_gl.noise.noise import add_noise, mean_intensity
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import Ping
 from sonar_gl.scene.scene import Scene
@@ -409,20 +407,9 @@ class _Comparison:
         return acoustics, noise, sonar
 
     def _mean_images(self, terms: Iterable[Term | StatedTerm]) -> list[np.ndarray]:
-        """Return the (B, K) mean of many pings without these terms, from each pose, without dropped beams.
-
-        Speckle has the mean 1; noise adds its mean power, raised by the TVG.
-        """
+        """Return the (B, K) mean of many pings without these terms, from each pose, without dropped beams."""
         acoustics, noise, sonar = self._settings(terms)
-        tvg = acoustics.tvg(sonar.range_m, sonar)
-        power = sum(10 ** (db / 10) for db in receiver_levels_db(noise, sonar, acoustics)) * tvg
-        if noise.self_noise and sonar.common_noise_db is not None:
-            pattern = common_noise_pattern(sonar.azimuth_rad, sonar.common_noise_width_deg)
-            power = power + np.outer(pattern, 10 ** (sonar.common_noise_db / 10) * tvg)
-        ringing = ring_down_power(sonar.range_m, sonar, acoustics)
-        if noise.self_noise and ringing is not None:
-            power = power + ringing
-        return [ping.intensity + power for ping in self._pings_with(acoustics)]
+        return [mean_intensity(replace(ping, sonar=sonar), noise) for ping in self._pings_with(acoustics)]
 
     def _change(self, terms: list[Term | StatedTerm]) -> _Change:
         """Return how the image without these terms differs; each measure is the largest over the poses."""

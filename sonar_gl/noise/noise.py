@@ -13,7 +13,6 @@ from sonar_gl.noise.gaussian import add_normal
 from sonar_gl.noise.hidden_labels import without_hidden_labels
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.reception import reception_of
-from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import NOISE_PARTS, Ping
 
@@ -53,9 +52,9 @@ def add_noise(
         out = FieldNoise(ping, noise, seed, ping_number, thread).noisy()
     else:
         out = np.array(ping.intensity, dtype=np.float32, order="C")
-    ringing = ring_down_power(ping.range_m, ping.sonar, ping.acoustics) if noise.self_noise else None
-    if ringing is not None:
-        out += ringing.astype(np.float32)
+    reception = reception_of(ping, noise)
+    if reception.ring_down is not None:
+        out += reception.ring_down
     if noise.gaussian:
         add_normal(stream(seed, ping_number, "gaussian"), noise.gaussian, out)
     if noise.median:
@@ -71,5 +70,16 @@ def add_noise(
     out.setflags(write=False)
     # as asdict, in a twentieth of its time
     record = {"noise": dict(vars(noise)), "seed": seed, "ping_number": ping_number}
-    labelled = without_hidden_labels(ping, reception_of(ping, noise).receiver_power)
+    labelled = without_hidden_labels(ping, reception.receiver_power)
     return replace(labelled, intensity=out, **dict.fromkeys(NOISE_PARTS), meta={**ping.meta, **record})
+
+
+def mean_intensity(ping: Ping, noise: Noise) -> np.ndarray:
+    """Return the mean intensity of many pings with this noise, (B, K) float64: the echo, and what the receiver adds.
+
+    Speckle has the mean 1. Terms of single bins and interference are left out. Parameters and errors are those of
+    `add_noise`.
+    """
+    reception = reception_of(ping, noise)
+    added = (power for power in (reception.receiver_power, reception.ring_down) if power is not None)
+    return sum(added, start=np.asarray(ping.intensity, np.float64))

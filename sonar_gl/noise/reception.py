@@ -109,6 +109,19 @@ class Reception:
         return np.minimum(power, MAX_POWER).astype(np.float32)
 
     @cached_property
+    def ring_down(self) -> np.ndarray | None:
+        """The power of the ring-down after the TVG, (K,) float32, up to MAX_POWER; None without it.
+
+        The transducer rings on after the pulse, while the receiver listens already. An oscillation that is damped
+        evenly decays exponentially in time, by so many dB per metre of range. All elements ring alike, and so do all
+        beams. The power is added to that of the echo.
+        """
+        if not self._noise.self_noise or self.sonar is None or self.sonar.ring_down_db is None:
+            return None
+        level_db = self.sonar.ring_down_db - self.sonar.ring_down_decay_db_m * self.range_m
+        return np.minimum(10 ** (np.clip(level_db, -300, 300) / 10) * self._tvg, MAX_POWER).astype(np.float32)
+
+    @cached_property
     def correlation(self) -> FieldCorrelation:
         """What correlates the fields of beams and bins."""
         width_rad = None if self.sonar is None else float(np.radians(self.sonar.beam_width_deg))

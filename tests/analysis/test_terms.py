@@ -115,8 +115,9 @@ def test_differences_are_those_of_pings_by_hand():
                 ping = simulator.ping(scene.sonar_pose)
             images.append(image_of(ping, acoustics, amounts, speckle=term is SPECKLE))
         difference, (full_image, _) = np.abs(images[0] - images[1]), images
-        assert found[term.name].changes == pytest.approx(difference.sum() / full_image.sum(), rel=1e-9)
-        assert found[term.name].worst_bin == pytest.approx(difference.max() / full_image.max(), rel=1e-9)
+        # the power of the noise is float32
+        assert found[term.name].changes == pytest.approx(difference.sum() / full_image.sum(), rel=1e-7)
+        assert found[term.name].worst_bin == pytest.approx(difference.max() / full_image.max(), rel=1e-7)
         shown = np.maximum(*images) >= SHOWN
         with np.errstate(divide="ignore"):  # bins may have no echo in one of the two
             changed = shown & (np.abs(10 * np.log10(images[0] / images[1])) > 3)

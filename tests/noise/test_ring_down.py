@@ -10,7 +10,6 @@ import sonar_gl as sg
 from sonar_gl.analysis.terms import price
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
-from sonar_gl.noise.ring_down import ring_down_power
 from sonar_gl.sonar.sonar_files import presets
 from tests.support.even_ping import even_ping
 
@@ -56,7 +55,6 @@ def test_no_preset_has_a_ring_down():
 def test_it_is_self_noise_and_of_sonars_that_state_it():
     ping = ringing_ping()
     assert add_noise(ping, sg.Noise(speckle=True), seed=1).intensity.max() == 0
-    assert ring_down_power(ping.range_m, None, None) is None
     assert sg.load_sonar("p900-45,ring_down_db=-5").ring_down_db == -5
     with pytest.raises(Error, match="ring_down_decay_db_m must lie in"):
         sg.load_sonar("p900-45,ring_down_db=0,ring_down_decay_db_m=0")
