@@ -19,7 +19,7 @@ from sonar_gl.acoustics.pulse import (
     field_weights,
     is_coarse,
 )
-from sonar_gl.core.compiled import compiled, floats_at
+from sonar_gl.core.compiled import compiled, floats_at, inlined
 from sonar_gl.core.worker import SecondThread, run_rows
 from sonar_gl.noise.speckle import TAPS, BeamField, FieldCorrelation, aperture_width, has_low_ends, own_nodes
 from sonar_gl.noise.wave_cache import CHUNK
@@ -245,6 +245,21 @@ def _power(weights):
     return out
 
 
+@inlined
+def _wave(addresses, direction, first, n, part):
+    """Return n real and n imaginary parts of the wave of a direction, from the place `first` on."""
+    address = addresses[direction % uint64(len(addresses))] + first
+    return floats_at(address, n), floats_at(address + part, n)
+
+
+@inlined
+def _with_wave(x, y, weight, a, b):
+    """Return x + iy plus a wave a + ib times its weight, the products one after the other."""
+    x = x + weight[0] * a
+    y = y + weight[0] * b
+    return x - weight[1] * b, y + weight[1] * a
+
+
 @compiled
 def _add_block(addresses, direction, first, n_wave_bins, matrix, real, imaginary):
     """Add to real and imaginary parts (n,) the waves of a block in the directions that an aperture receives.
@@ -255,48 +270,22 @@ def _add_block(addresses, direction, first, n_wave_bins, matrix, real, imaginary
     direction, first : of the first wave, and the place of its bin, in bytes
     matrix : (N_DIRECTIONS, 2) float32, real and imaginary parts of their weights
     """
-    n, part, circle = uint64(len(real)), uint64(4) * n_wave_bins, uint64(len(addresses))
-    at = direction
-    a0, b0 = floats_at(addresses[at] + first, n), floats_at(addresses[at] + first + part, n)
-    at = (direction + uint64(1)) % circle
-    a1, b1 = floats_at(addresses[at] + first, n), floats_at(addresses[at] + first + part, n)
-    at = (direction + uint64(2)) % circle
-    a2, b2 = floats_at(addresses[at] + first, n), floats_at(addresses[at] + first + part, n)
-    at = (direction + uint64(3)) % circle
-    a3, b3 = floats_at(addresses[at] + first, n), floats_at(addresses[at] + first + part, n)
-    at = (direction + uint64(4)) % circle
-    a4, b4 = floats_at(addresses[at] + first, n), floats_at(addresses[at] + first + part, n)
-    at = (direction + uint64(5)) % circle
-    a5, b5 = floats_at(addresses[at] + first, n), floats_at(addresses[at] + first + part, n)
-    c0, c1, c2 = matrix[0, 0], matrix[1, 0], matrix[2, 0]
-    c3, c4, c5 = matrix[3, 0], matrix[4, 0], matrix[5, 0]
-    s0, s1, s2 = matrix[0, 1], matrix[1, 1], matrix[2, 1]
-    s3, s4, s5 = matrix[3, 1], matrix[4, 1], matrix[5, 1]
+    n, part = uint64(len(real)), uint64(4) * n_wave_bins
+    a0, b0 = _wave(addresses, direction, first, n, part)
+    a1, b1 = _wave(addresses, direction + uint64(1), first, n, part)
+    a2, b2 = _wave(addresses, direction + uint64(2), first, n, part)
+    a3, b3 = _wave(addresses, direction + uint64(3), first, n, part)
+    a4, b4 = _wave(addresses, direction + uint64(4), first, n, part)
+    a5, b5 = _wave(addresses, direction + uint64(5), first, n, part)
+    w0, w1, w2 = (matrix[0, 0], matrix[0, 1]), (matrix[1, 0], matrix[1, 1]), (matrix[2, 0], matrix[2, 1])
+    w3, w4, w5 = (matrix[3, 0], matrix[3, 1]), (matrix[4, 0], matrix[4, 1]), (matrix[5, 0], matrix[5, 1])
     for k in range(n):
-        x = real[k] + c0 * a0[k]
-        x = x - s0 * b0[k]
-        x = x + c1 * a1[k]
-        x = x - s1 * b1[k]
-        x = x + c2 * a2[k]
-        x = x - s2 * b2[k]
-        x = x + c3 * a3[k]
-        x = x - s3 * b3[k]
-        x = x + c4 * a4[k]
-        x = x - s4 * b4[k]
-        x = x + c5 * a5[k]
-        y = imaginary[k] + c0 * b0[k]
-        y = y + s0 * a0[k]
-        y = y + c1 * b1[k]
-        y = y + s1 * a1[k]
-        y = y + c2 * b2[k]
-        y = y + s2 * a2[k]
-        y = y + c3 * b3[k]
-        y = y + s3 * a3[k]
-        y = y + c4 * b4[k]
-        y = y + s4 * a4[k]
-        y = y + c5 * b5[k]
-        real[k] = x - s5 * b5[k]
-        imaginary[k] = y + s5 * a5[k]
+        x, y = _with_wave(real[k], imaginary[k], w0, a0[k], b0[k])
+        x, y = _with_wave(x, y, w1, a1[k], b1[k])
+        x, y = _with_wave(x, y, w2, a2[k], b2[k])
+        x, y = _with_wave(x, y, w3, a3[k], b3[k])
+        x, y = _with_wave(x, y, w4, a4[k], b4[k])
+        real[k], imaginary[k] = _with_wave(x, y, w5, a5[k], b5[k])
 
 
 @compiled
