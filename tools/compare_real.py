@@ -31,6 +31,7 @@ from sonar_gl.core.atomic_file import atomic_write
 from sonar_gl.core.errors import Error
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.speckle import aperture_width
+from tests.support.even_ping import HAMMING_SERIES, hamming_correlation
 from tools.count_statistics import (
     correlation,
     divergence,
@@ -40,7 +41,6 @@ from tools.count_statistics import (
     moments,
     pattern_shares,
 )
-from tools.noise_statistics import HAMMING, hamming_correlation
 from tools.oculus_raw import RawPing, read_pings
 from tools.pictures import write_png
 
@@ -401,7 +401,7 @@ def theory(setup: Setup) -> dict[str, float]:
     expected = law_moments(LAW)
     # of one straight array, with beams even in sine and as wide ahead as the data sheet says
     spacing = np.ptp(np.sin(np.radians(setup.beam_azimuths_deg))) / (len(setup.beam_azimuths_deg) - 1)
-    apart = aperture_width((HAMMING,)) * spacing / math.radians(sg.load_sonar(PRESET).beam_width_deg)
+    apart = aperture_width(HAMMING_SERIES) * spacing / math.radians(sg.load_sonar(PRESET).beam_width_deg)
     bins = 2 * sonar.bandwidth_hz * setup.bin_size_m / setup.sound_speed_m_s
     out = {"floor: correlation of pings": 1.0, "far: correlation of pings": 0.0}
     for name in Regions._fields:
@@ -415,7 +415,7 @@ def theory(setup: Setup) -> dict[str, float]:
     widths = np.gradient(azimuths_rad) / math.radians(BEAM_WIDTH_DEG)
     aside = np.abs(azimuths_rad) / azimuths_rad.max()
     for part, where in zip((aside < THIRD, aside > 1 - THIRD), THIRDS, strict=True):
-        rho = float(hamming_correlation(aperture_width((HAMMING,)) * widths[part].mean()))
+        rho = float(hamming_correlation(aperture_width(HAMMING_SERIES) * widths[part].mean()))
         out[f"far: correlation of beams, 1 apart, {where}"] = law_correlation(rho, LAW)
     return out
 
