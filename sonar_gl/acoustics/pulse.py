@@ -313,7 +313,7 @@ def convolve(
     def work(part: slice) -> None:
         _convolve(rows[part], before, weights, out[part])
 
-    run_rows(thread if n * out.size > FEW_PRODUCTS else None, work, 0, len(rows))
+    run_rows(thread if n * out.size > FEW_PRODUCTS else None, work, len(rows))
     return out
 
 

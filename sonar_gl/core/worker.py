@@ -189,13 +189,13 @@ def run_halves(thread: SecondThread | None, work: Callable[[int], object]) -> tu
     return (work(0), work(1)) if thread is None else thread.run_halves(work)
 
 
-def run_rows(thread: SecondThread | None, work: Callable[[slice], object], first: int, past: int) -> None:
-    """Have work(rows) done for rows first to past − 1: for half of them by the thread, if there is one.
+def run_rows(thread: SecondThread | None, work: Callable[[slice], object], count: int) -> None:
+    """Have work(rows) done for so many rows: for half of them by the thread, if there is one.
 
     Each row must be a result of its own, so that bits do not depend on the thread.
     """
     if thread is None:
-        work(slice(first, past))
+        work(slice(0, count))
         return
-    middle = (first + past) // 2
-    thread.run_halves(lambda half: work(slice(middle, past) if half else slice(first, middle)))
+    middle = count // 2
+    thread.run_halves(lambda half: work(slice(middle, count) if half else slice(0, middle)))

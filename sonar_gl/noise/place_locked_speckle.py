@@ -541,7 +541,7 @@ def place_locked_field(
     is_little = fields.size * N_DIRECTIONS / layout.block_length < FEW_WAVE_PRODUCTS
     for cells in product(_cells_at(pose[0, 3]), _cells_at(pose[1, 3])):
         sums = _wave_sums(shape, layout, cells, waves_of)
-        run_rows(None if is_little else thread, partial(sums.add_to, fields), 0, n_nodes)
+        run_rows(None if is_little else thread, partial(sums.add_to, fields), n_nodes)
         if nodes is not None:
             sums.add_products_to(products)
     first, weights = own_nodes(n_nodes) if nodes is None else (nodes.first, nodes.even_weights(products))

@@ -317,7 +317,7 @@ def look_at(
         of_noise = amplitude[rows] if len(amplitude) > 1 else amplitude
         _look(echo[rows], g, scale, steady[rows], others[rows], n, of_noise, out[rows])
 
-    run_rows(thread if out.size > MANY_BINS else None, work, 0, len(out))
+    run_rows(thread if out.size > MANY_BINS else None, work, len(out))
     return out
 
 

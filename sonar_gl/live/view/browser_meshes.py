@@ -24,7 +24,6 @@ class BrowserMesh:
     middle: np.ndarray  # (3,) float64, of the mesh's box in the body's frame
     faces: np.ndarray  # (F, 3) uint32
     pose: np.ndarray  # (4, 4) world_from_body, as the scene has it
-    reflectivity: float  # mean of the body's, 0..1
 
 
 def browser_meshes(scene: Scene, max_triangles: int = MAX_TRIANGLES) -> list[BrowserMesh]:
@@ -61,9 +60,7 @@ def _browser_mesh(body: Body, most: int) -> BrowserMesh:
     faces = np.asarray(body.surface.faces, np.int64)
     if len(faces) > most:
         vertices, faces = decimated(vertices, faces, most)
-    return BrowserMesh(
-        body.name, vertices, middle, faces.astype(np.uint32), body.pose, float(np.mean(body.reflectivity))
-    )
+    return BrowserMesh(body.name, vertices, middle, faces.astype(np.uint32), body.pose)
 
 
 def decimated(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
