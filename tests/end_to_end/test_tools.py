@@ -231,15 +231,7 @@ def test_bench_scaling():
     with open("scaled/scaling.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     axes = {row["axis"] for row in rows}
-    assert axes == {
-        "triangles",
-        "beams",
-        "bins",
-        "field of view, degrees",
-        "bodies",
-        "tolerance",
-        "one triangle",
-    }
+    assert axes == {"triangles", "beams", "bins", "field of view, degrees", "bodies", "tolerance"}
     assert all(float(row["ms_median"]) > 0 for row in rows)
     same = {
         row["at"]: row["samples"] for row in rows if row["line"] == "same samples" and "field" in row["axis"]
@@ -250,13 +242,13 @@ def test_bench_scaling():
     assert Path("scaled/pictures/scaling.png").stat().st_size > 10_000
     assert found["large"]["triangles"] >= 200_000
     assert found["large"]["peak_mb"] > 100
-    check_aims(found["aims"], printed, 6)
+    check_aims(found["aims"], printed, 5)
 
 
 @pytest.mark.slow
 def test_bench_changes():
     found, printed = bench("changes", "--quick")
-    check_aims(found["aims"], printed, 10)
+    check_aims(found["aims"], printed, 9)
 
 
 def check_aims(aims, printed, least):

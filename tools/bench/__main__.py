@@ -8,10 +8,10 @@
 ping      time of a ping by stages and its error, over samplings and tolerances (what runs without a NAME)
 frame     what noise and picture add to a ping, beside a trace of as many rays through Embree
 scaling   how the time grows with triangles, beams, bins, field of view, bodies and tolerance
-engines   both raster engines; what labels, multipath and pictures add
+engines   both raster engines; what labels, multipath and pictures add; sequences
 live      how even the pings of a live loop are
 view      how many new pings a second the page of `sonar-gl view` shows; needs Chromium
-changes   sequences, two sonars in one world, bodies that come, go and move
+changes   two sonars in one world, bodies that come, go and move
 batch     rate of a headless batch, where a worker's time goes, what ten million pings take
 embed     the four embedding modes, in a bare OpenGL program and in the hosts of examples/
 host      one of the hosts of examples/, as `embed` runs them

@@ -1,12 +1,12 @@
-"""Measure many frames, two sonars, and bodies that come, go and move, beside what is aimed at.
+"""Measure two sonars, and bodies that come, go and move, beside what is aimed at.
 
-python -m tools.bench changes              # pylon, diver, ocean_floor
+python -m tools.bench changes
 python -m tools.bench changes --quick
 """
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import defaultdict
 from contextlib import ExitStack
 
 import numpy as np
@@ -19,28 +19,9 @@ from tools.chart.scenes import make_scene, make_sonar
 
 ROUNDS = 40, 2
 IDEAL = sg.Acoustics.ideal()
-SCENES, CHANGED_SCENE, PINGS = ("pylon", "diver", "ocean_floor"), "ocean_floor", 24
-QUICK_SCENES, QUICK_CHANGED_SCENE, QUICK_PINGS = ("pylon",), "pylon", 8
+SCENE, PINGS = "ocean_floor", 24
+QUICK_SCENE, QUICK_PINGS = "pylon", 8
 MOST_CHANGES = 20  # each adds bodies
-
-
-def drop(pings):
-    """Make all pings and keep none, so that their arrays are reused."""
-    deque(pings, maxlen=0)
-
-
-def sequence_gain(name: str, n: int, rounds: int, warm_up: int = 1, engine: str | None = None) -> float:
-    """Return the time of n pings one by one over that of a sequence (`Simulator.pings`), of a scene."""
-    scene, sonar = make_scene(name), make_sonar(name, "wide")
-    poses = [harness.creep(scene.sonar_pose, k) for k in range(n)]
-    with sg.Simulator(scene, sonar, IDEAL, engine=engine) as simulator:
-        simulator.plan([scene.sonar_pose])
-        ways = {
-            "one by one": lambda _: drop(map(simulator.ping, poses)),
-            "sequence": lambda _: drop(simulator.pings(poses)),
-        }
-        times = harness.take_turns(ways, rounds, warm_up)
-    return harness.ratio(times["one by one"], times["sequence"])
 
 
 def two_sonars(name: str, n: int, rounds: int) -> float:
@@ -111,15 +92,9 @@ def add_options(parser):
 
 def run(options) -> dict:
     """Return the figures beside their aims."""
-    scenes, scene, n = SCENES, CHANGED_SCENE, PINGS
-    if options.quick:
-        scenes, scene, n = QUICK_SCENES, QUICK_CHANGED_SCENE, QUICK_PINGS
-    aims = []
-    for name in scenes:
-        gain = sequence_gain(name, n, max(2, options.rounds // 4))
-        aims.append(Aim(f"pings() over ping by ping, {name}", gain, "times", 1.5, at_least=True))
+    scene, n = (QUICK_SCENE, QUICK_PINGS) if options.quick else (SCENE, PINGS)
     time = two_sonars(scene, n, max(1, options.rounds // 10))
-    aims.append(Aim("two sonars in one world / in two runs", time, "times", 1.0))
+    aims = [Aim("two sonars in one world / in two runs", time, "times", 1.0)]
     ms = body_changes(scene, min(options.rounds, MOST_CHANGES))
     for change, after, limit in (
         ("add a body", "first ping after that", 10.0),

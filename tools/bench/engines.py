@@ -9,6 +9,7 @@ where nothing else is said. OpenGL draws by the driver that is there: by softwar
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
@@ -20,7 +21,6 @@ import sonar_gl as sg
 from sonar_gl.core.warn import collected_warnings
 from tools import internals
 from tools.bench import harness
-from tools.bench.changes import sequence_gain
 from tools.bench.harness import Aim
 from tools.chart.scenes import make_scene, make_sonar
 
@@ -55,6 +55,24 @@ def pinger(
     return lambda number: finish(simulator.ping(harness.creep(scene.sonar_pose, number), **options))
 
 
+def drop(pings):
+    """Make all pings and keep none, so that their arrays are reused."""
+    deque(pings, maxlen=0)
+
+
+def sequence_gain(scene, sonar, rounds: int) -> float:
+    """Return the time of FEW pings one by one over that of a sequence (`Simulator.pings`)."""
+    poses = [harness.creep(scene.sonar_pose, k) for k in range(FEW)]
+    with sg.Simulator(scene, sonar, IDEAL, engine="cpu") as simulator:
+        simulator.plan([scene.sonar_pose])
+        ways = {
+            "one by one": lambda _: drop(map(simulator.ping, poses)),
+            "sequence": lambda _: drop(simulator.pings(poses)),
+        }
+        times = harness.take_turns(ways, rounds)
+    return harness.ratio(times["one by one"], times["sequence"])
+
+
 def engines_of(name: str, rounds: int) -> dict[str, float]:
     """Return the times of one scene: both engines, labels, sequence; milliseconds and ratios."""
     scene, sonar = make_scene(name), make_sonar(name, "wide")
@@ -70,8 +88,7 @@ def engines_of(name: str, rounds: int) -> dict[str, float]:
     if "opengl" in times:
         out["opengl / cpu"] = harness.ratio(times["opengl"], times["cpu"])
     out["labels"] = harness.ratio(times["labels"], times["cpu"])
-    few = FEW, max(3, rounds // 12), harness.WARM_UP
-    out["one by one / sequence"] = sequence_gain(name, *few, engine="cpu")
+    out["one by one / sequence"] = sequence_gain(scene, sonar, max(3, rounds // 12))
     return out
 
 

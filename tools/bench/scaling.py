@@ -176,13 +176,6 @@ def cases_of_tolerances(tolerances) -> list[Case]:
     return [Case("tolerance", "tolerance", one, scene, sonar, {"tolerance": one}) for one in tolerances]
 
 
-def case_of_one_triangle() -> list[Case]:
-    """Make the cheapest ping there is: one triangle, 60 cm wide, 10 m ahead."""
-    mesh = trimesh.Trimesh([(0, -0.3, -0.24), (0, 0, 0.24), (0, 0.3, -0.24)], [(0, 1, 2)], process=False)
-    scene = sg.Scene([sg.Body("triangle", mesh, sg.pose(10))], np.eye(4))
-    return [Case("one triangle", CHOSEN, 1, scene, make_sonar("pylon", "wide"), {})]
-
-
 def axes_of(sizes: Sizes) -> Iterator[list[Case]]:
     """Make the cases of one axis after the other; large scenes are dropped in between."""
     yield cases_of_triangles(sizes.triangles)
@@ -191,7 +184,6 @@ def axes_of(sizes: Sizes) -> Iterator[list[Case]]:
     yield cases_of_sonars("field of view, degrees", sizes.fields_deg, widened)
     yield cases_of_bodies(sizes.bodies)
     yield cases_of_tolerances(sizes.tolerances)
-    yield case_of_one_triangle()
 
 
 def aims_of(points: list[Point]) -> list[Aim]:
@@ -216,8 +208,7 @@ def aims_of(points: list[Point]) -> list[Aim]:
     for line in (EACH, SHARED):
         name = f"{n} {line} / {JOINED}"
         out.append(Aim(name, over("bodies", (line, n), (JOINED, n)), "times", 3.0))
-    (triangle,) = axes["one triangle"].values()
-    return [*out, Aim("one visible triangle", float(np.median(triangle)), "ms", 0.4)]
+    return out
 
 
 def measure_large(triangles: int) -> dict[str, float]:
