@@ -80,11 +80,12 @@ def _coefficient_of_body(body: Body, wavenumber_rad_m: float) -> np.ndarray | No
     return tabulate_reflection(float(np.mean(body.reflectivity)), DEFAULT_ROUGHNESS_M, wavenumber_rad_m)
 
 
-def find_planes(surface, least_m2: float = MIN_AREA_M2) -> list[tuple[np.ndarray, float, float]]:
+def find_planes(surface) -> list[tuple[np.ndarray, float, float]]:
     """Return unit normal, offset, metres, and area, m², of the planes that hold enough of a mesh, the largest first.
 
+    Planes of less than MIN_AREA_M2 are among them, since bodies may be larger in a ping.
+
     surface : has (V, 3) `vertices`, metres, and (F, 3) `faces`
-    least_m2 : area of a plane that is enough, if it is a share of MIN_AREA_SHARE, too
     """
     faces = np.asarray(surface.faces)
     if len(faces) > MAX_FACES:
@@ -99,7 +100,7 @@ def find_planes(surface, least_m2: float = MIN_AREA_M2) -> list[tuple[np.ndarray
     valid = area > 0
     normals, area, a = normals[valid] / (2 * area[valid, None]), area[valid], a[valid]
     offsets, out = (normals * a).sum(axis=1), []
-    enough_m2 = max(least_m2, MIN_AREA_SHARE * area.sum())
+    enough_m2 = MIN_AREA_SHARE * area.sum()
     tolerance_m = COPLANAR * np.abs(vertices - middle).max()  # relative, since the body may be scaled
     # The largest face need not lie in the largest plane, as where a wall is meshed finely. Cells twice as wide as the
     # tolerances part a plane among 16 of them at most, so that one of these has this share of its area.
@@ -130,8 +131,6 @@ def planar_reflectors(
 ) -> list[PlanarReflector]:
     """Return the water's surface and the planes of bodies, those that reflect anything coherently.
 
-    Planes of less than MIN_AREA_M2 are among them, since bodies may be larger in a ping.
-
     wavenumber_rad_m : 2π / λ in the water
     wave_height_m : rms height of the waves under wind; the surface is at least as rough
     """
@@ -143,6 +142,6 @@ def planar_reflectors(
     for index, body in enumerate(scene.bodies):
         coefficient = _coefficient_of_body(body, wavenumber_rad_m)
         if coefficient is not None and coefficient.max() > 0:
-            planes = find_planes(body.surface, least_m2=0.0)
-            out += [PlanarReflector(index, *plane[:2], coefficient, plane[2]) for plane in planes]
+            for normal, offset_m, area_m2 in find_planes(body.surface):
+                out.append(PlanarReflector(index, normal, offset_m, coefficient, area_m2))
     return out
