@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sonar_gl.core.checks import check_kind, check_number, unknown_body_error
+from sonar_gl.core.checks import check_kind, unknown_body_error
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.embed.camera import Camera
@@ -16,6 +16,9 @@ from sonar_gl.scene.scene import Scene
 # Linear light: a sun overhead, a lamp at the camera, and ambient light
 SUN, LAMP, AMBIENT = 2.0, 2.0, 0.15
 BACKGROUND_RGB = (0.0, 0.02, 0.05)  # where no body is
+# Range of depths along the optical axis that are rendered, metres. Depth has 24 bits, so that its error is
+# depth² / (NEAR_M · 1.7e7): a millimetre at 40 m.
+NEAR_M, FAR_M = 0.1, 100.0
 
 
 class OpticalCamera:
@@ -28,18 +31,15 @@ class OpticalCamera:
 
     scene : Scene; its bubbles are not rendered
     camera : Camera, such as `Camera.of_fov(640, 480, fov_x_rad=1.2)`
-    near_m, far_m : range of depths along the optical axis that are rendered. Depth has 24 bits, so its error
-        is depth² / (near_m · 1.7e7): a millimetre at 40 m with 0.1 m
     device : as for `Simulator`
     context : its OpenGL context; None once it is closed
     """
 
-    def __init__(self, scene, camera, near_m: float = 0.1, far_m: float = 100.0, device: int | None = None):
+    def __init__(self, scene, camera, device: int | None = None):
         self.context = None
         check_kind("scene", scene, Scene, "sonar_gl.load_scene makes one from a name or a file")
         check_kind("camera", camera, Camera, "such as sonar_gl.Camera.of_fov(640, 480, fov_x_rad=1.2)")
-        check_number("far_m of optical images", far_m, 0)
-        projection = camera.projection(near_m, far_m)
+        projection = camera.projection(NEAR_M, FAR_M)
         pyrender = import_pyrender()
 
         class Pinhole(pyrender.camera.Camera):
@@ -51,7 +51,7 @@ class OpticalCamera:
         self.scene, self.camera = scene, camera
         # everything is in the camera's frame, since float32 is precise only near the origin
         self._graph = pyrender.Scene(bg_color=BACKGROUND_RGB, ambient_light=[AMBIENT] * 3)
-        self._graph.add(Pinhole(near_m, far_m))
+        self._graph.add(Pinhole(NEAR_M, FAR_M))
         self._graph.add(pyrender.DirectionalLight(intensity=LAMP))
         self._sun = self._graph.add(pyrender.DirectionalLight(intensity=SUN))
         self._bodies = {b.name: (b, self._graph.add(_mesh(pyrender, b))) for b in scene.bodies}
