@@ -10,14 +10,9 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
+from pycocotools import mask
 
 from sonar_gl.core.errors import Error
-from sonar_gl.core.extras import missing_module
-
-try:
-    from pycocotools import mask
-except ModuleNotFoundError as why:
-    raise missing_module("batch", why) from None
 
 IDS_PER_IMAGE = 1 << 16  # the id of an annotation is image_id · IDS_PER_IMAGE + body_id
 PREFIXES = {"images": b'["image", ', "annotations": b'["annotation", '}  # of lines in the files of parts

@@ -17,17 +17,13 @@ import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
+from fsspec.core import url_to_fs
+from fsspec.implementations.local import LocalFileSystem
+
 from sonar_gl.core.atomic_file import temporary_path
 from sonar_gl.core.errors import Error
-from sonar_gl.core.extras import missing_module
 from sonar_gl.core.input_files import describe_kind
 from sonar_gl.core.warn import warn_caller
-
-try:
-    from fsspec.core import url_to_fs
-    from fsspec.implementations.local import LocalFileSystem
-except ModuleNotFoundError as why:
-    raise missing_module("batch", why) from None
 
 try:
     import fcntl

@@ -12,11 +12,13 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+
 from sonar_gl.core.checks import check_choice, is_finite
 from sonar_gl.core.errors import Error, errors_at, nearest_names, nearest_of_many
-from sonar_gl.core.extras import missing_module
 from sonar_gl.core.names import names_of
 from sonar_gl.core.toml import read_toml
+from sonar_gl.core.toml_tables import IDENTIFIER, WORD, Mount, Names, Table, known_keys, table_error
 from sonar_gl.imaging.colormaps import DEFAULT_COLORMAP
 from sonar_gl.imaging.fan_image import colours
 from sonar_gl.imaging.styles import FanStyle, what_lacks_16_bits
@@ -24,13 +26,6 @@ from sonar_gl.scene.sdf.xacro import split_arguments
 from sonar_gl.sonar.counts import DEFAULT_COUNTS, LEVEL_BOUND_DB
 from sonar_gl.sonar.sonar import MAX_BINS
 from sonar_gl.sonar.sonar_files import split_sonar
-
-try:
-    from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
-
-    from sonar_gl.core.toml_tables import IDENTIFIER, WORD, Mount, Names, Table, known_keys, table_error
-except ModuleNotFoundError as why:
-    raise missing_module("batch", why) from None
 
 LOCATION_KEYS = "where", "folder"  # say where the job file is; not part of what decides the pings
 # keys of former versions: what stands in their place

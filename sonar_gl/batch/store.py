@@ -12,20 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import zarr
+from zarr.codecs import BloscCodec
+from zarr.storage import MemoryStore
 
 from sonar_gl.batch.folder import Folder
 from sonar_gl.batch.manifest import CHUNK_PINGS, Manifest
 from sonar_gl.batch.schema import ArraySpec
 from sonar_gl.core.errors import Error
-from sonar_gl.core.extras import missing_module
 from sonar_gl.sonar.sonar import Sonar
-
-try:
-    import zarr
-    from zarr.codecs import BloscCodec
-    from zarr.storage import MemoryStore
-except ModuleNotFoundError as why:
-    raise missing_module("batch", why) from None
 
 STORE_NAME = "pings.zarr"
 # LZ4 takes half the time of Zstandard, for files a tenth larger. Shuffled by bits, the mantissa bits that are

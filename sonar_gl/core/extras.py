@@ -28,12 +28,6 @@ def missing_extra(extra: str, why: str) -> Error:
     return Error(f"{why}; to add it: {install_command(extra)}")
 
 
-def missing_module(extra: str, why: ModuleNotFoundError) -> ModuleNotFoundError:
-    """Return the error for a module whose import failed with `why`, without an extra of the name of what needs it."""
-    text = f"{extra} needs more packages (got no module {why.name})"
-    return ModuleNotFoundError(str(missing_extra(extra, text)), name=why.name)
-
-
 def install_command(extra: str) -> str:
     """Return the shell command that adds an extra to this installation.
 
