@@ -101,6 +101,11 @@ class TriedView(NamedTuple):
         """As of `Stage.coverage`; first asked for while the samples are valid."""
         return self.stage.coverage(self.view)
 
+    @property
+    def only_reaches(self) -> bool:
+        """Whether all echo is that of samples beyond the last bin that reach into it: none in range met a body."""
+        return self.view.bubbles is None and not self.counts.samples.any()
+
 
 class ErrorModel:
     """Judges sampling levels by what they see. It keeps nothing of a ping: what it says depends on that ping alone.
@@ -193,7 +198,9 @@ class ErrorModel:
         steps = min(math.ceil(max(whole.steps, worst.steps)), MAX_STEPS)
         stage = tried.stage
         estimates = whole.error, worst.error, worst.number
-        return Judgement(Plan(stage.sampling, level, *estimates, steps <= 0, stage.fan.n_samples), steps)
+        # of what only reaches into the last bin no tolerance can be kept; finer samples may find that it is nothing
+        met = steps <= 0 or (tried.only_reaches and worst.number == 0)
+        return Judgement(Plan(stage.sampling, level, *estimates, met, stage.fan.n_samples), steps)
 
     def _with_glints(self, setup: PingSetup, tried: TriedView, greatest: np.ndarray) -> TriedView:
         """Return a view of whose samples on smooth bodies only those count that tell how well a glint is met.
@@ -222,7 +229,7 @@ class ErrorModel:
         alike = max(of_round - MOSTLY_ROUND, 0.0) / (1 - MOSTLY_ROUND)
         error = wrong_share(tried.echo, before.echo, coarser, alike) + of_strips
         steps = math.log2(max(error, 1e-9) / self.tolerance) * LEVELS_PER_HALF / ERROR_RATE
-        return ErrorEstimate(error, steps)
+        return ErrorEstimate(0.0 if tried.only_reaches else error, steps)
 
     def _worst_body(
         self, tried: TriedView, before: TriedView, coarser: float, counts: np.ndarray, is_compared: np.ndarray

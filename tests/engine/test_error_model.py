@@ -37,6 +37,19 @@ def test_small_bodies_get_the_samples_that_their_echo_needs():
         assert count_samples(simulator)[2] < 20 < samples[2]
 
 
+def test_samples_that_only_reach_into_the_last_bin_break_no_tolerance():
+    """Side lobes see the floor 3 m below, where the range ends. The more samples, the less they reach into it."""
+    scene, sonar = sg.load_scene("pylon"), sg.load_sonar("p900-45").with_range(3.0)
+    floor_z_m = scene.bodies[0].mesh.vertices[:, 2].max() + scene.bodies[0].pose[2, 3]
+    assert scene.sonar_pose[2, 3] - floor_z_m == 3.0
+    with sg.Simulator(scene, sonar) as simulator, warnings.catch_warnings():
+        warnings.simplefilter("error", ToleranceWarning)
+        ping = simulator.ping(scene.sonar_pose)
+        assert simulator.plan([scene.sonar_pose]).met
+    assert ping.intensity.sum() < 1e-6  # after finer samples, which might have found an echo, or none
+    assert ping.error_estimate == 0.0
+
+
 @pytest.mark.parametrize("acoustics", [IDEAL, sg.Acoustics.physical()])
 def test_bodies_beside_the_fan_ask_for_no_samples(acoustics):
     """The sheared lattice and its mirror image jut out of the fan at opposite corners, where they met bodies."""
