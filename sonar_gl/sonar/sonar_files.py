@@ -23,17 +23,26 @@ OF_COUNTS = {field.name for field in fields(Counts)}
 PRESETS = Path(__file__).with_name("sonars.toml")
 # names of other data sheets and simulators, as patterns: the field that says the same, or what to write
 OTHER_NAMES = {
-    r"(h|hor\w*_|azimuth_)?fov(_deg|_rad)?": "azimuth_fov_deg",
-    r"(v|ver\w*_|elevation_)fov(_deg|_rad)?|(vertical|elevation)_beam_?width\w*": "elevation_fov_deg",
+    r"((operating|center|centre|carrier)_)?freq(uency)?(_[km]?hz)?": "frequency_hz",
+    r"(h|hor\w*_|azimuth_)?(fov|aperture)(_deg|_rad)?": "azimuth_fov_deg",
+    r"(v|ver\w*_|elevation_)(fov|aperture)(_deg|_rad)?|(vertical|elevation)_beam_?width\w*": "elevation_fov_deg",
     r"(horizontal_|azimuth_)?beam_?width(_rad)?|(horizontal_|azimuth_)beam_?width_deg": "beam_width_deg",
+    r"(ang\w+|azimuth|horizontal)_resolution(_deg|_rad)?": "beam_width_deg",
+    r"beam_(spacing|separation)_(deg|rad)|beam_separation": (
+        "give n_beams = azimuth_fov_deg / separation; beam_spacing says in what the beams are evenly apart"
+    ),
     r"n(um(ber)?)?_?(of_)?beams": "n_beams",
     r"n(um(ber)?)?_?(of_)?(range_)?(bins|samples)|range_bins": "n_bins",
+    r"(range_)?resolution(_[cm]?m)?|(range_)?bin_(size|length|width)(_[cm]?m)?": (
+        "give n_bins = (range_max_m - range_min_m) / size of a bin; what the pulse resolves follows from bandwidth_hz"
+    ),
     r"max(imum)?_range(_m)?": "range_max_m",
     r"min(imum)?_range(_m)?": "range_min_m",
     r"pulse_(length|duration|width)(_\w+)?": (
         "give bandwidth_hz: the band that a chirp sweeps; of a pulse without modulation 1/length, together with "
         "pulse_taper = uniform"
     ),
+    r"(max(imum)?_)?(ping|update|frame|refresh)_rate(_max)?(_hz)?": "ping_rate_max_hz",
     r"bit_depth|n(um(ber_of)?)?_bits": "write counts = { bits = 16 }",
     r"(sound_speed|speed_of_sound)\w*": "it is of the water: give it as --water, or as sonar_gl.Water",
 }

@@ -245,11 +245,25 @@ def test_text_may_change_fields(tmp_path):
 @pytest.mark.parametrize(
     ("keys", "hint"),
     [
+        ("freq frequency_khz operating_frequency_hz", "did you mean 'frequency_hz'?"),
         ("fov fov_deg hfov horizontal_fov horizontal_fov_deg azimuth_fov", "did you mean 'azimuth_fov_deg'?"),
+        ("horizontal_aperture_deg", "did you mean 'azimuth_fov_deg'?"),
         ("vfov vertical_fov_deg vertical_beam_width_deg", "did you mean 'elevation_fov_deg'?"),
+        ("vertical_aperture", "did you mean 'elevation_fov_deg'?"),
         ("beamwidth horizontal_beam_width_deg", "did you mean 'beam_width_deg'?"),
+        ("angular_resolution angular_resolution_deg", "did you mean 'beam_width_deg'?"),
+        (
+            "beam_separation beam_spacing_deg",
+            "give n_beams = azimuth_fov_deg / separation; beam_spacing says in what the beams are evenly apart",
+        ),
         ("num_beams number_of_beams nbeams", "did you mean 'n_beams'?"),
         ("num_bins range_bins n_samples", "did you mean 'n_bins'?"),
+        (
+            "range_resolution range_resolution_m resolution_m bin_size_m bin_length_mm",
+            "give n_bins = (range_max_m - range_min_m) / size of a bin; what the pulse resolves follows from "
+            "bandwidth_hz",
+        ),
+        ("ping_rate_hz update_rate_hz max_frame_rate", "did you mean 'ping_rate_max_hz'?"),
         ("max_range maximum_range_m", "did you mean 'range_max_m'?"),
         ("min_range min_range_m", "did you mean 'range_min_m'?"),
         (
