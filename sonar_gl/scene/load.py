@@ -26,6 +26,7 @@ from sonar_gl.scene.scene import DEFAULT_REFLECTIVITY, Body, Scene
 from sonar_gl.scene.sdf.reader import read_sdf
 from sonar_gl.scene.sdf.resources import Resources
 from sonar_gl.scene.sdf.xacro import split_arguments
+from sonar_gl.scene.shading_normals import rounded_text
 
 SDF_SUFFIXES = (".sdf", ".world", ".urdf", ".xacro")
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
@@ -84,11 +85,23 @@ def load_scene(what, resource_paths: Iterable[str | os.PathLike] = (), skip_miss
     reflectivity 0.5, with one warning. Objects of trimesh are shaded flat, because trimesh computes normals
     where a mesh has none; those of pyrender keep the normals that pyrender renders with. docs/conventions.md
     describes scenes of each format.
+
+    Warns
+    -----
+    UserWarning
+        of what is left out or assumed, and of bodies whose shading normals round the edges of flat faces.
     """
     if not isinstance(skip_missing, bool | np.bool_):
         raise Error(f"skip_missing must be True or False (got {shown(skip_missing)})")
-    if isinstance(what, (str, os.PathLike)):
-        return _load_named(what, resource_paths, skip_missing)
+    is_named = isinstance(what, (str, os.PathLike))
+    scene = _load_named(what, resource_paths, skip_missing) if is_named else _convert(what)
+    if text := rounded_text(scene.bodies):
+        warn_caller(f"{what}: {text}" if is_named else text)
+    return scene
+
+
+def _convert(what) -> Scene:
+    """Return the scene of an object of another library; errors as of `load_scene`."""
     if is_pyrender_scene(what):
         return convert_pyrender_scene(what)
     if is_mujoco_model(what):
