@@ -336,7 +336,10 @@ def colorize(image: np.ndarray, name: str = DEFAULT_COLORMAP) -> np.ndarray:
     table, image = colours(name), as_array(image, "the image of colorize")
     is_float_image = image.ndim == 2 and image.dtype.kind == "f"
     if not is_float_image or not image.size:  # without a pixel OpenCV ends the process
-        raise Error(f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype})")
+        raise Error(
+            f"colorize needs an image of shape (H, W), float 0..1 (got {image.shape}, {image.dtype}; "
+            "sonar_gl.fan_image makes one of a ping)"
+        )
     if image.dtype != np.float32 or not _is_within_0_1(image):
         image = image.clip(0, 1).astype(np.float32, copy=False)
     return cv2.applyColorMap(cv2.convertScaleAbs(image, alpha=255), table)

@@ -440,6 +440,12 @@ def test_wrong_colours(image, name, message):
     assert error_of(colorize, image, name).startswith(message)
 
 
+def test_colours_of_a_ping_are_those_of_its_fan_image():
+    assert error_of(colorize, fan_ping()) == (
+        "colorize needs an image of shape (H, W), float 0..1 (got (), object; sonar_gl.fan_image makes one of a ping)"
+    )
+
+
 def test_a_colour_map_that_is_no_name():
     with pytest.raises(Error, match=r"^unknown colour map \(got \['jet'\]; known are amber, "):
         colorize(np.zeros((2, 2)), ["jet"])
