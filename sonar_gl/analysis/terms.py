@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Container, Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import NamedTuple
@@ -19,6 +19,7 @@ from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.level_search import evenly_picked
+from sonar_gl.engine.no_echo import NoEchoWarning
 from sonar_gl.engine.request import several_poses
 from sonar_gl.noise.noise import add_noise, mean_intensity
 from sonar_gl.noise.settings import Noise
@@ -424,6 +425,13 @@ class _Comparison:
         return _Change(*np.max(found, axis=0).tolist())
 
 
+@contextmanager
+def _without_warnings_of_pings() -> Iterator[None]:
+    """Show no warning of pings: they are for callers that make some, and without a term there may be no echo."""
+    with collected_warnings(ToleranceWarning), collected_warnings(NoEchoWarning):
+        yield
+
+
 def price(
     scene: Scene | Simulator,
     sonar: Sonar,
@@ -462,7 +470,7 @@ def price(
         if there is no pose, or an argument is wrong.
     """
     case = _make_case(scene, sonar, tolerance, poses, acoustics, noise)
-    with ExitStack() as stack, collected_warnings(ToleranceWarning):  # they are for callers that make pings
+    with ExitStack() as stack, _without_warnings_of_pings():
         comparison = _Comparison(stack, case, before_ping)
         prices = comparison.judge([term for term in STATED_TERMS if term.is_stated(case.noise, case.sonar)])
         acting = [term for term, found in prices.items() if found.changes > 0 or found.changed_bins > 0]
@@ -500,7 +508,7 @@ def needed_acoustics(
     acoustics = Acoustics.physical() if water is None else Acoustics.physical().in_water(water)
     poses = [pose] if count_axes(pose) == 2 or is_position_and_quaternion(pose) else pose
     case = _make_case(scene, sonar, tolerance, poses, acoustics)
-    with ExitStack() as stack, collected_warnings(ToleranceWarning):  # they are for callers that make pings
+    with ExitStack() as stack, _without_warnings_of_pings():
         prices = _Comparison(stack, case).judge()
     off = [term for term, found in prices.items() if not found.on and not term.of_noise]
     return without(case.acoustics, case.noise, off)[0]

@@ -1,5 +1,6 @@
 """The price of terms in a scene, and the acoustics that it needs."""
 
+import warnings
 from dataclasses import replace
 from functools import partial
 
@@ -450,3 +451,15 @@ def test_a_scene_without_echo_needs_no_term():
 def test_acoustics_of_a_command_line_that_are_wrong(text, message):
     with pytest.raises(sg.Error, match=message):
         sg.Acoustics.parse(text)
+
+
+def test_terms_without_which_there_is_no_echo_are_priced_without_a_warning():
+    """Within 3.5 m side lobes see the floor; the box beams of `ideal` see nothing."""
+    scene = sg.load_scene("pylon")
+    sonar = replace(sg.load_sonar("p900-45").with_range(3.5), n_beams=16, n_bins=32)
+    no_echo = pytest.warns(UserWarning, match="no echo came back: the nearest surface in the fan lies at")
+    with sg.Simulator(scene, sonar, sg.Acoustics.ideal()) as simulator, no_echo:
+        simulator.ping(scene.sonar_pose)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sg.needed_acoustics(scene, sonar, tolerance=0.05)
