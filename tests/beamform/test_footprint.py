@@ -29,12 +29,13 @@ def spread(s, a, b, energy=1.0, edges=EDGES, slant=0.0):
     sums, K = np.zeros((3, len(edges) - 1), np.float32), len(edges) - 1
     bins = BINS if edges is EDGES else bin_table(edges)
     spans = np.tile([K, 0], (3, 1))
+    sums[[0, 2]] = -0.0  # of other rows, to which another thread may add: not even zeros are added to them
     work, past = WORK, len(s) + 1
     work[:, : 2 * past] = np.nan  # the first and those from the last on are not used
     work[ENERGY, 1:past], work[S, 1:past], work[A, 1:past], work[B, 1:past] = energy, s, a, b
     work[SLANT, 1:past] = slant
     spread_footprints(work, 1, past, sums, spans, 1, bins, SHORT_RAMP)
-    assert not sums[[0, 2]].any()
+    assert np.signbit(sums[[0, 2]]).all() and not sums[[0, 2]].any()
     assert (spans[[0, 2]] == [K, 0]).all()
     assert not np.delete(sums[1], slice(*spans[1])).any()  # bins outside of the span are empty
     return sums[1].astype(float)
@@ -160,6 +161,20 @@ def test_what_begins_at_the_end_of_the_last_bin_leaves_nothing_outside_of_its_sp
         wide = far * rng.choice([1e-9, 1e-6, 1e-3])
         for thin in (0.0, wide / 2):  # a box and a trapezoid
             spread(nearest - wide - thin, wide, thin, 1e15, edges)
+
+
+@pytest.mark.parametrize("slant", [0.0, 0.7])
+def test_trapezoids_are_alike_one_bin_at_a_time_and_in_whole_groups(slant):
+    """Near the last bin groups do not fit. Edges are exact, so that the first bins are those of more bins, too."""
+    rng = np.random.default_rng(2)
+    for n_bins in range(1, 41):
+        short, long = (0.5 + 0.25 * np.arange(n + 1) for n in (n_bins, n_bins + 8))
+        last, first = 1 / rng.uniform(short[-2], short[-1]), 1 / rng.uniform(short[0], short[-1])
+        s, half = (first + last) / 2, abs(first - last) / 2
+        thin = half * rng.uniform(0.2, 0.5)
+        got, want = (spread(s, half - thin, thin, edges=one, slant=slant) for one in (short, long))
+        assert not want[n_bins:].any()
+        np.testing.assert_allclose(got, want[:n_bins], rtol=1e-6, atol=1e-7 * want.max())  # float32
 
 
 def test_neighbouring_rows_leave_no_gaps_or_rings():

@@ -33,6 +33,8 @@ from sonar_gl.core.compiled import as_table, inlined, uncounted
 SHORT_RAMP, SHORT_RAMP_OF_JOINED = 1 / 4, 1 / 8
 # Of s. A footprint that ends where its body does may have none, and an edge of bins may lie there.
 LEAST_WIDTH = 1e-9
+# Trapezoids of more bins are spread over AT_A_TIME at a time: each bin that is left over takes as long as such a group.
+FEW_BINS = 3
 
 
 @uncounted
@@ -85,7 +87,8 @@ def spread_footprints(work, start, stop, sums, spans, c, bins, short_ramp):
         slanted = max(1.0 + rise * ((outer + far) / 2 - s), 0.0)
         sums[row, last] += np.float32(max(half_height * (outer**2 - far * far), 0.0) * slanted)
     if lowest <= highest:
-        spans[c, 0], spans[c, 1] = min(spans[c, 0], int(lowest)), max(spans[c, 1], int(highest) + 1)
+        # a trapezoid may end by rounding in the bin past its last one
+        spans[c, 0], spans[c, 1] = min(spans[c, 0], int(lowest)), max(spans[c, 1], min(int(highest) + 2, K))
 
 
 @uncounted
@@ -125,6 +128,16 @@ def _spread_trapezoid(sums, c, bins_s, first_m, per_metre, energy, s, wide, thin
     first = uint64(min(int((1.0 / high - first_m) * per_metre), K - 1))  # as in `find_intervals`
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
     nearer, rise = energy_below(high, s, wide, thin), slant / wide if slant != 0.0 else 0.0
+    # in whole groups, of which bins past the last get nothing
+    end = uint64(whole_groups(np.int64(first), np.int64(last) + 1))
+    if last >= first + uint64(FEW_BINS) and end <= uint64(K):
+        for k in range(first, end):
+            edge = max(bins_s[uint64(k + 1)], low)
+            further = energy_below(edge, s, wide, thin)
+            echo = scale * max(nearer - further, 0.0)
+            sums[row, k] += np.float32(echo * slanted_density(rise, s, high, edge, wide))
+            nearer, high = further, edge
+        return first, last
     for k in range(first, last):
         edge = bins_s[uint64(k + 1)]
         further = energy_below(edge, s, wide, thin)
