@@ -13,7 +13,7 @@ from sonar_gl.analysis.verify import ping_error
 from sonar_gl.beamform.kernels import range_bins
 from sonar_gl.engine.body_extents import BodyExtents
 from sonar_gl.raster import level_of_detail as detail
-from sonar_gl.raster.cpu.kernels.shading import lobe_times_range
+from sonar_gl.raster.cpu.kernels.shading import lobe_times_range, mean_lobe_times_range, widens_lobe
 from sonar_gl.raster.opengl import buffers
 from sonar_gl.scene import primitives
 from sonar_gl.scene.materials import material
@@ -138,6 +138,26 @@ def test_a_sphere_of_a_material_adds_lobe_and_diffuse_part(name, more_db):
 
 
 @pytest.mark.slow
+def test_a_lobe_that_is_not_widened_is_that_of_the_normal_of_its_sample():
+    """Normals that turn by less than twice the roughness from sample to sample; some by a little less."""
+    rng, n_widened, strength = np.random.default_rng(0), 0, np.float32(0.8)
+    for _ in range(1000):
+        forms, (x, y), (u, v) = np.zeros(9), rng.uniform(0, 500, 2), rng.uniform(-1, 1, 2)
+        slope, normal = np.float32(rng.uniform(0.02, 0.3)), rng.normal(size=3) * 10 ** rng.uniform(-3, 3)
+        turns = rng.normal(size=(3, 2))
+        turns *= slope * np.linalg.norm(normal) * 10 ** rng.uniform(-2, 1, 2) / np.linalg.norm(turns, axis=0)
+        forms[:] = np.column_stack([normal - turns @ (x, y), turns]).ravel()
+        range_m = rng.uniform(1, 30)
+        echo = range_m * rng.uniform(0.5, 1)
+        if widens_lobe(forms, x, y, slope):
+            n_widened += 1
+            continue
+        got = mean_lobe_times_range((forms, x, y), (u, v), echo, range_m, strength, slope)
+        # roundings of an exponent of up to 60
+        assert got == pytest.approx(lobe_times_range(echo, range_m, strength, slope), rel=1e-12)
+    assert 300 < n_widened < 700
+
+
 def test_all_implementations_of_the_lobe_agree():
     cosine = np.concatenate([[0.0, 1e-4, 1.0], np.random.default_rng(0).uniform(0.2, 1, 4093)])
     strength, slope = np.float32(0.7), np.random.default_rng(1).uniform(0.02, 0.5, 4096)

@@ -92,6 +92,23 @@ def _shaded_echo(normal_forms, t, x, y, u, v, q, slope_u, slope_v, flat):
 
 
 @inlined
+def widens_lobe(forms, x, y, slope):
+    """Return whether `mean_lobe_times_range` may widen a lobe; else it is that of the sample's normal, found faster.
+
+    It does so where normals turn by more than twice the roughness from one sample to the next, and they turn by no more
+    than what a form changes by, over the length of the normal.
+
+    forms : (9,) row of `normal_forms`; x, y : column and row of the sample
+    """
+    mx = forms[0] + forms[1] * x + forms[2] * y
+    my = forms[3] + forms[4] * x + forms[5] * y
+    mz = forms[6] + forms[7] * x + forms[8] * y
+    across = forms[1] * forms[1] + forms[4] * forms[4] + forms[7] * forms[7]
+    upward = forms[2] * forms[2] + forms[5] * forms[5] + forms[8] * forms[8]
+    return not BLUR * max(across, upward) < NEARLY * slope * slope * (mx * mx + my * my + mz * mz)
+
+
+@inlined
 def mean_lobe_times_range(normal, ray, echo, range_m, strength, slope):
     """Return the specular lobe times range about a sample whose shading normal turns, from cos θ times range.
 
@@ -212,7 +229,8 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes):
                 body = bodies[t, 0]
                 strength, slope = body_rows[body, ROW_STRENGTH], body_rows[body, ROW_SLOPE]
                 of_lobe = 0.0
-                if has_lobes and bodies[t, 1] >= 0 and strength > zero:
+                is_turning = has_lobes and bodies[t, 1] >= 0 and strength > zero
+                if is_turning and widens_lobe(normal_forms[t], x, y, slope):
                     range_m = math.sqrt(1.0 + u * u + v * v) / q
                     normal = normal_forms[t], x, y
                     of_lobe = mean_lobe_times_range(normal, (u, v), echo, range_m, strength, slope)
