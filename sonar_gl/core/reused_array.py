@@ -23,11 +23,15 @@ class ReusedArray:
     """An array that is used again, for as many rows as are asked for.
 
     row : shape of a row
+
+    n_last : rows that were asked for last
     """
 
     def __init__(self, dtype, *row: int):
         self._array = np.empty((0, *row), dtype)
-        self._n_ready, self._n_last = 0, 0  # rows that have memory, and that were asked for last
+        self._n_ready, self.n_last = 0, 0  # rows that have memory, and that were asked for last
+        # a larger one that is being made ready, and how many of its rows are
+        self._next, self._n_next_ready = None, 0
         self._most, self._n_uses = 0, 0  # rows asked for, and how often, since most of it was in use
 
     def __len__(self) -> int:
@@ -38,13 +42,12 @@ class ReusedArray:
         """Rows that have memory, or may soon."""
         return min(len(self._array), RESERVE * self._n_ready)
 
-    def _make(self, count: int) -> None:
-        """Make an array with room for so many rows and more."""
+    def _made(self, count: int) -> np.ndarray:
+        """Return an array with room for so many rows and more."""
         row_bytes = self._array.dtype.itemsize * math.prod(self._array.shape[1:])
         room_bytes = SMALL_ROOM_BYTES if count * row_bytes < LARGE_BYTES else LARGE_ROOM_BYTES
         n_rows = max(RESERVE * count, room_bytes // row_bytes)
-        self._array = np.empty((n_rows, *self._array.shape[1:]), self._array.dtype)
-        self._n_ready = self._most = self._n_uses = 0
+        return np.empty((n_rows, *self._array.shape[1:]), self._array.dtype)
 
     def take(self, count: int) -> np.ndarray:
         """Return an array of so many rows; what was in it may be there still."""
@@ -52,23 +55,36 @@ class ReusedArray:
             self._most = self._n_uses = 0
         else:
             self._most, self._n_uses = max(self._most, count), self._n_uses + 1
-        if len(self._array) < count or self._n_uses > USES_BEFORE_SMALLER:
-            self._make(max(count, self._most))
-        self._n_ready, self._n_last = max(self._n_ready, count), count
+        if len(self._array) < count and self._next is not None and count <= len(self._next):
+            self._array, self._n_ready, self._next = self._next, self._n_next_ready, None
+        elif len(self._array) < count or self._n_uses > USES_BEFORE_SMALLER:
+            self._array, self._n_ready, self._next = self._made(max(count, self._most)), 0, None
+            self._most = self._n_uses = 0
+        self._n_ready, self.n_last = max(self._n_ready, count), count
         return self._array[:count]
 
-    def prepare(self, growth: float, share: float) -> None:
-        """Have memory ready before `growth` times as many rows as the last ones are taken; a share of what is missing.
+    def prepare(self, count: int, share: float) -> None:
+        """Have memory ready before so many rows are taken; a share of what is missing. What was taken stays as it is.
 
-        Where there is no room for them it does nothing: `take` will make another array. What was taken stays as it is.
+        Where there is no room for them it is that of another array, which `take` will go on with.
         """
-        count = math.ceil(growth * self._n_last)
-        first, end = self._n_ready, self._n_last + math.ceil(share * (count - self._n_last))
-        if first < end and count <= len(self._array):
-            self._array[first:end].reshape(-1).view(np.uint8)[::PAGE_BYTES] = 0
-            self._n_ready = end
+        if count <= len(self._array):
+            end = self.n_last + math.ceil(share * (count - self.n_last))
+            self._n_ready = _used(self._array, self._n_ready, end)
+            return
+        if self._next is None or len(self._next) < count:
+            self._next, self._n_next_ready = self._made(count), 0
+        self._n_next_ready = _used(self._next, self._n_next_ready, math.ceil(share * count))
 
     def drop_large(self) -> None:
         """Drop an array of more than MAX_KEPT_ROWS rows; what was taken stays valid."""
+        self._next = None
         if self._size > MAX_KEPT_ROWS:
             self._array, self._n_ready = self._array[:0].copy(), 0
+
+
+def _used(array: np.ndarray, first: int, end: int) -> int:
+    """Use the rows of an array from one up to another for the first time; return how many have been used then."""
+    if first < end:
+        array[first:end].reshape(-1).view(np.uint8)[::PAGE_BYTES] = 0
+    return max(first, end)

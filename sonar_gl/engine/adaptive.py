@@ -7,6 +7,7 @@ nothing of the samples that it needs: they are chosen from it alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -222,13 +223,14 @@ class AdaptiveSampling:
             return replace(choice, n_made=1)
         coarser = self._model.coarser_stage(stage)
         # by samples alone: how fine pings are must not depend on what memory was kept of finer ones
-        times_more = stage.fan.n_samples / drawn.resolution.stage.fan.n_samples - 1
-        n_new = drawn.view.n_samples * times_more
+        n_now, n_of_fan = drawn.view.n_samples, drawn.resolution.stage.fan.n_samples
+        n_new = n_now * (stage.fan.n_samples / n_of_fan - 1)
         most = MOST_NEW * max(_usual(self.history.costs), FEW_SAMPLES)
         share = choice.share if choice.n_made < 2 else choice.share + most / max(n_new, most)
         is_ready = n_new <= most or share >= 1.0
         for one in (stage, coarser):
-            one.renderer.prepare(1.0 if is_ready else share)
+            n_samples = math.ceil(n_now * one.fan.n_samples / n_of_fan)
+            one.renderer.prepare(n_samples, 1.0 if is_ready else share)
         if is_ready:
             return replace(choice, level=choice.next_level, next_level=None)
         return replace(choice, n_made=2, share=share)

@@ -182,7 +182,8 @@ class StageCache:
             self.sonar, self.acoustics, sampling, self._thread, shear, self._widths, self._workspace
         )
         if shear not in self._render_workspaces:
-            self._render_workspaces[shear] = self.engine.make_workspace(self.most_samples)
+            beside = next(iter(self._render_workspaces.values()), None)
+            self._render_workspaces[shear] = self.engine.make_workspace(self.most_samples, beside)
         renderer = self.engine.make_renderer(
             beamformer.fan, self.acoustics.specular, self._render_workspaces[shear], self._thread
         )

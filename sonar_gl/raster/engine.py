@@ -55,11 +55,12 @@ class Renderer(Protocol):
         keep_last : the samples of the last call stay valid until the next one
         """
 
-    def prepare(self, share: float) -> None:
-        """Have the memory of a view ready before it is drawn, where new memory takes time: a share of what is missing.
+    def prepare(self, n_samples: int, share: float) -> None:
+        """Have the memory of a view of so many samples ready before it is drawn, where new memory takes time.
 
-        As if bodies filled as much of the fan as in the last view that was drawn into the workspace, whose samples stay
-        valid.
+        Samples that were drawn stay valid.
+
+        share : of what is missing
         """
 
 
@@ -84,8 +85,13 @@ class RasterEngine(Protocol):
     def with_more(self, bodies) -> Any:
         """Return contents with more bodies; inside `drawing`."""
 
-    def make_workspace(self, most_samples: int = MAX_SAMPLES) -> RenderWorkspace:
-        """Return memory to draw into, for views of at most so many samples."""
+    def make_workspace(
+        self, most_samples: int = MAX_SAMPLES, beside: RenderWorkspace | None = None
+    ) -> RenderWorkspace:
+        """Return memory to draw into, for views of at most so many samples.
+
+        beside : into which nobody draws at the same time; it may share what a view needs while it is drawn
+        """
 
     def make_renderer(
         self, fan: Fan, specular: bool, workspace: RenderWorkspace, thread: SecondThread | None = None

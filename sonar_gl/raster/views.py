@@ -133,11 +133,10 @@ class RenderWorkspace:
 
     most_samples : of a view
     make_image : function that returns room for the samples of a view, an object with `drop_large`
-    n_of_fan : samples of the whole fan of the last view
     """
 
     def __init__(self, most_samples: int, make_image: Callable):
-        self._most_samples, self._make_image, self.n_of_fan = most_samples, make_image, 0
+        self._most_samples, self._make_image = most_samples, make_image
         self._images, self._other_images = [], []
 
     def images(self, count: int, keep_last: bool) -> list:

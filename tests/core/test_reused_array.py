@@ -73,8 +73,8 @@ def test_memory_that_was_made_ready_needs_no_more_pages(share, growth):
     return_free_memory()  # or else the array may lie in pages that the process has from others
     array = ReusedArray(np.float32, 4)
     array.take(MANY)[:] = 3.0
-    assert page_faults(lambda: array.prepare(3.0, share)) > 2
-    assert page_faults(lambda: array.prepare(3.0, share)) <= 1
+    assert page_faults(lambda: array.prepare(3 * MANY, share)) > 2
+    assert page_faults(lambda: array.prepare(3 * MANY, share)) <= 1
     taken = array.take(int(growth * MANY))
     assert page_faults(lambda: taken.fill(4.0)) <= 2
 
@@ -83,13 +83,27 @@ def test_what_was_taken_stays_as_more_memory_is_made_ready(array):
     taken = array.take(MANY)
     taken[:] = 3.0
     for share in (0.3, 0.6, 1.0):
-        array.prepare(2.0, share)
+        array.prepare(2 * MANY, share)
     assert (taken == 3.0).all()
     assert np.shares_memory(taken, array.take(2 * MANY))  # finer samples use the memory of the coarser ones
 
 
-def test_no_memory_is_made_ready_where_there_is_no_room(array):
-    size = len(array)
-    array.prepare(1.1 * size / MANY, 1.0)
-    assert len(array) == size
-    assert array.take(2 * size).shape == (2 * size, 4)
+def test_memory_is_made_ready_in_another_array_where_there_is_no_room(array):
+    """In parts, too. What was taken stays, and the other array is there once it is needed."""
+    return_free_memory()
+    taken, size = array.take(MANY), len(array)
+    taken[:] = 3.0
+    count = 2 * size
+    for share in (0.5, 1.0):
+        assert page_faults(lambda share=share: array.prepare(count, share)) > 2
+    assert len(array) == size and (array.take(MANY) == 3.0).all()
+    larger = array.take(count)
+    assert page_faults(lambda: larger.fill(4.0)) <= 2
+    assert (taken == 3.0).all()
+
+
+def test_another_array_that_was_not_needed_is_dropped(array):
+    array.prepare(2 * len(array), 1.0)
+    array.drop_large()
+    return_free_memory()
+    assert page_faults(lambda: array.take(MANY).fill(1.0)) > 2

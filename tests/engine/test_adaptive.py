@@ -144,7 +144,14 @@ class TestMoving:
             (view,) = coarse.draw([setup.head_pose], [setup.state])
         n_new = view.n_samples * (fine.fan.n_samples / coarse.fan.n_samples - 1)
         assert n_new > 0
-        monkeypatch.setattr(type(fine.renderer), "prepare", lambda _, share: shares.append(share))
+        wanted = math.ceil(view.n_samples * fine.fan.n_samples / coarse.fan.n_samples)
+        sizes = []
+
+        def prepared(_, n_samples, share):
+            sizes.append(n_samples)
+            shares.append(share)
+
+        monkeypatch.setattr(type(fine.renderer), "prepare", prepared)
         sampler.choice = replace(sampler.choice, next_level=level + 3, is_due=True)
         sampler.history = sampler.history._replace(costs=(share * n_new / 0.2,) * 99)
         for number, _ in enumerate(
@@ -155,6 +162,10 @@ class TestMoving:
             found = [one for of_ping in expected[: number + 1] for one in 2 * of_ping]
             assert shares == pytest.approx(found, abs=1e-9)  # rounding
         assert (sampler.choice.level, sampler.choice.next_level) == (level + 3, None)
+        assert set(sizes[::2]) == {wanted}  # and those of the view to compare with
+        assert sizes[1::2] == pytest.approx(
+            [wanted / 2] * len(shares[1::2]), rel=0.1
+        )  # whole columns and rows
 
     @pytest.mark.parametrize(("share", "is_due"), [(1.001, True), (0.999, False)])
     def test_a_check_waits_until_it_costs_no_more_than_a_ping_may(self, simulator, share, is_due):

@@ -20,6 +20,7 @@ from sonar_gl.raster.scene_meshes import SceneMeshes
 from sonar_gl.raster.views import SectorView
 from sonar_gl.scene import primitives
 from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M
+from sonar_gl.sonar.sector import SHEAR
 from tests.support.worlds import random_world, terrain
 
 SCENES = (
@@ -444,11 +445,11 @@ def test_memory_that_is_made_ready_leaves_the_samples_that_were_drawn(engine):
         run = simulator.run
         with run.drawing():
             coarse, finer = (run.stages.stage(one).renderer for one in (SAMPLING, fine))
-            finer.prepare(0.5)  # before anything was drawn
+            finer.prepare(1000, 0.5)  # before anything was drawn
             (view,) = coarse.render([np.eye(4)], with_bodies=True)
             before = [one.plane_echo.copy() for one in view.sectors]
             for share in (0.4, 1.0):
-                finer.prepare(share)
+                finer.prepare(fine.columns_per_beam * SONAR.n_beams * fine.rows, share)
             for one, same in zip(view.sectors, before, strict=True):
                 np.testing.assert_array_equal(one.plane_echo, same)
             (view,) = finer.render([np.eye(4)], with_bodies=True, full=True)
@@ -456,6 +457,21 @@ def test_memory_that_is_made_ready_leaves_the_samples_that_were_drawn(engine):
     alone = draw_sectors(small_world(), SONAR, np.eye(4), engine, fine)
     for one, (_, same, _) in zip(views, alone, strict=True):
         np.testing.assert_array_equal(one, same)
+
+
+def test_both_lattices_share_what_a_view_needs_while_it_is_drawn():
+    """Not the samples: they are compared."""
+    with sg.Simulator(small_world(), SONAR, sg.Acoustics.ideal(), SAMPLING, engine="cpu") as simulator:
+        stages = simulator.run.stages
+        with simulator.run.drawing():
+            one, other = (stages.stage(SAMPLING, shear) for shear in (SHEAR, -SHEAR))
+            (view,) = one.draw([np.eye(4)], [None])
+            before = [sector.plane_echo.copy() for sector in view.sectors]
+            other.draw([np.eye(4)], [None])
+        for sector, same in zip(view.sectors, before, strict=True):
+            np.testing.assert_array_equal(sector.plane_echo, same)
+        made = simulator.run.world.engine.make_workspace(1000)
+        assert simulator.run.world.engine.make_workspace(1000, made).halves is made.halves
 
 
 def seen_bodies(samples):

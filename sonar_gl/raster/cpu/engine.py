@@ -96,9 +96,15 @@ class _Image:
         """Return room for the specular lobes of the samples of a view, (height, width)."""
         return self._lobes.take(width * height).reshape(height, width)
 
+    @property
+    def n_last(self) -> int:
+        """Samples of the last view."""
+        return self._arrays[0].n_last
+
     def prepare(self, growth: float, share: float) -> None:
         for one in (*self._arrays, self._lobes):
-            one.prepare(growth, share)
+            if one.n_last:
+                one.prepare(math.ceil(growth * one.n_last), share)
 
     def drop_large(self) -> None:
         for one in (*self._arrays, self._lobes):
@@ -123,9 +129,9 @@ class _HalfWorkspace:
         planes, bodies, normals = self._triangles
         return Triangles(planes.take(count), bodies.take(count), normals.take(count * has_normals))
 
-    def prepare(self, growth: float, share: float) -> None:
+    def prepare(self, count: int, share: float) -> None:
         for one in self._buffer:
-            one.prepare(growth, share)
+            one.prepare(count, share)
 
     def drop_large(self) -> None:
         for one in (*self._buffer, *self._triangles):
@@ -135,17 +141,25 @@ class _HalfWorkspace:
 class CpuWorkspace(RenderWorkspace):
     """Images, and what each thread draws into.
 
-    halves : _HalfWorkspace of each thread
+    beside : as of `RasterEngine.make_workspace`
+
+    halves : _HalfWorkspace of each thread, of which a view needs nothing once it is drawn
+    room : samples of an image, and of what a half draws at a time, for each sample of the last view
     """
 
-    def __init__(self, most_samples: int):
+    def __init__(self, most_samples: int, beside: CpuWorkspace | None = None):
         super().__init__(most_samples, _Image)
-        self.halves = _HalfWorkspace(), _HalfWorkspace()
+        self.halves = (_HalfWorkspace(), _HalfWorkspace()) if beside is None else beside.halves
+        self.room = 0.0, 0.0
 
-    def prepare(self, growth: float, share: float) -> None:
-        """Have memory ready for `growth` times the samples of the last view, or a share of what is missing."""
-        for one in (*self._images, *self.halves):
-            one.prepare(growth, share)
+    def prepare(self, n_samples: int, share: float) -> None:
+        """Have memory ready for a view of so many samples, or a share of what is missing."""
+        of_image, of_half = (math.ceil(n_samples * room) for room in self.room)
+        for image in self._images:
+            if n_last := self._images[0].n_last:
+                image.prepare(of_image / n_last, share)
+        for half in self.halves:
+            half.prepare(of_half, share)
 
     def drop_large(self) -> None:
         """Drop large arrays; samples that were drawn stay valid."""
@@ -174,7 +188,7 @@ class CpuRenderer:
     ):
         self._engine, self._specular = engine, specular
         self._workspace, self._thread = workspace, thread
-        range_max_m, self._n_samples = fan.sonar.range_max_m, fan.n_samples
+        range_max_m = fan.sonar.range_max_m
         self._limits = np.array([NEAR_M, FAR_FACTOR * range_max_m])
         self._sectors = [SectorView(sector, FAR_FACTOR * range_max_m, range_max_m) for sector in fan.sectors]
         self._layout, self._stacked = SectorLayout(self._sectors), stacked(self._sectors)
@@ -194,7 +208,6 @@ class CpuRenderer:
         planes = planes or [None] * len(poses)
         n = len(poses)
         images, out = self._workspace.images(n, keep_last), [None] * n
-        self._workspace.n_of_fan = self._n_samples
         views = list(zip(poses, states, planes, strict=True))
         groups = _with_lobes(views)
 
@@ -212,10 +225,9 @@ class CpuRenderer:
             draw(group)
         return out
 
-    def prepare(self, share: float) -> None:
+    def prepare(self, n_samples: int, share: float) -> None:
         """Have memory ready before a view is drawn; see `Renderer.prepare`."""
-        if before := self._workspace.n_of_fan:
-            self._workspace.prepare(self._n_samples / before, share)
+        self._workspace.prepare(n_samples, share)
 
     def _draw(
         self, images: Sequence[_Image], bodies: BodiesInView, with_bodies: bool, full: bool, half: int | None
@@ -246,6 +258,8 @@ class CpuRenderer:
         is_whole = half is not None or self._thread is None or work_ns < FEW_NS
         n_parts = 1 if is_whole else 2
         most = max(faces), max(w.rows * math.ceil(w.columns / n_parts) for w in windows)
+        if n_samples := sum(w.rows * w.columns for w in windows):
+            workspace.room = width * height / n_samples, most[1] / n_samples
         drawn = tuple(placed), bodies.has_lobes, chosen, found, most, samples, lobes
         if is_whole:
             parts = [self._draw_part(workspace.halves[half or 0], 0, 1, *drawn)]
@@ -386,8 +400,10 @@ class CpuEngine:
     def with_more(self, bodies) -> LoadedMeshes:
         return self.contents.with_more(bodies)
 
-    def make_workspace(self, most_samples: int = MAX_SAMPLES) -> CpuWorkspace:
-        return CpuWorkspace(most_samples)
+    def make_workspace(
+        self, most_samples: int = MAX_SAMPLES, beside: CpuWorkspace | None = None
+    ) -> CpuWorkspace:
+        return CpuWorkspace(most_samples, beside)
 
     def make_renderer(
         self, fan: Fan, specular: bool, workspace: CpuWorkspace, thread: SecondThread | None = None

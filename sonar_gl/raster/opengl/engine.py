@@ -56,7 +56,9 @@ class OpenGLEngine:
     def with_more(self, bodies) -> UploadedMeshes:
         return self._buffers.uploaded.with_more(bodies)
 
-    def make_workspace(self, most_samples: int = MAX_SAMPLES) -> OpenGLWorkspace:
+    def make_workspace(
+        self, most_samples: int = MAX_SAMPLES, beside: OpenGLWorkspace | None = None
+    ) -> OpenGLWorkspace:
         return OpenGLWorkspace(self._context, most_samples)
 
     def make_renderer(

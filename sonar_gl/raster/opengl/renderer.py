@@ -257,7 +257,7 @@ class OpenGLRenderer:
         check_driver(self._context)
         return views
 
-    def prepare(self, share: float) -> None:
+    def prepare(self, n_samples: int, share: float) -> None:
         """Do nothing: the driver has its own memory."""
 
     def _lay_out(self, number: int, bodies: BodiesInView, full: bool, listed: list) -> list[SectorDraws]:
