@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sonar_gl.acoustics.acoustics import Acoustics
+from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.core.checks import text_beside
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
-from sonar_gl.engine.error_model import Judgement
+from sonar_gl.engine.error_model import BegunJudgement, Judgement
 from sonar_gl.engine.flow import DrawnPing, PingSetup, Plan, ReceivedPing, Resolution
 from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.engine.replan_trigger import ReplanTrigger, have_come_or_gone
@@ -27,18 +28,23 @@ from sonar_gl.sonar.sampling import ERROR_RATE, LEVELS_PER_HALF, WORST_BODY, Tol
 from sonar_gl.sonar.sonar import Sonar
 
 CHECK_CHANGE = 0.2  # of the whole echo
-# A ping takes the time of the share of its samples that its Coverage states, of FACE for each face, which is summed by
-# itself where it is small, of FILTERED_BIN for each bin of each beam (of BARE_BIN without a matched filter), more by
-# COVERED_BIN of that where the share is whole, and of FIXED_SAMPLES; with a check of its error CHECK_COST times as
-# long. By the pings of `tools/bench live`, BARE_BIN by the same loops with profile `ideal`.
-FIXED_SAMPLES, FACE, CHECK_COST = 10_000, 1.5, 2.1
-FILTERED_BIN, BARE_BIN, COVERED_BIN = 0.37, 0.02, 1.85
-# No ping with a check may cost more than MOST_COST times the usual one of the RECENT ones up to it. One whose view has
-# filled, which may have to be drawn once more, may cost no more than MOST_FULL_COST times, and the first one with finer
-# samples no more than MOST_FINER_COST times. Nor may it have more than MOST_MORE times as many samples, two levels,
-# unless it has fewer than FEW_SAMPLES: where few of many meet a body, they cost little, but their memory does not.
-MOST_COST, MOST_FULL_COST, MOST_FINER_COST, RECENT = 2.3, 2.0, 1.65, 100
+# A ping takes the time of the share of its samples that its Coverage states, of FACE for each face, of PIECE for each
+# piece in which faces are summed, about the geometric mean of faces and samples, of FILTERED_BIN for each bin of each
+# beam (BARE_BIN without a matched filter), more by COVERED_BIN of that where the share is whole, and of FIXED_SAMPLES.
+# By views of the scenes and loops of `tools/bench live` at many levels, BARE_BIN with profile `ideal`.
+FIXED_SAMPLES, FACE, PIECE = 10_000, 0.5, 2.0
+FILTERED_BIN, BARE_BIN, COVERED_BIN = 0.23, 0.046, 4.3
+# With a check of its error a ping takes CHECK_COST times as long. In a loop two pings may share a check: the first one
+# draws the view to compare with, the second one sums it. Each takes no more than PART_COST times as long.
+CHECK_COST, PART_COST = 2.1, 1.6
+# No ping may cost more than MOST_COST times the usual one of the RECENT ones up to it, because of a check or since its
+# view has filled. From MOST_FULL_COST times on, those after it have fewer samples. Finer ones are as many as can be
+# checked at once. Nor may a ping have more than MOST_MORE times as many samples as the one before, two levels, unless
+# it has fewer than FEW_SAMPLES: where few of many meet a body, they cost little, but their memory does not.
+MOST_COST, MOST_FULL_COST, RECENT = 2.4, 2.0, 100
+MOST_FINER_COST = MOST_COST / PART_COST
 MOST_MORE, FEW_SAMPLES = 2.1, 50_000
+DRAWN = 0.6  # of what the samples and faces of a ping cost, before they are summed
 # Before finer samples are drawn their memory is used for the first time, of no more samples at a time than this times
 # the usual cost. That of a sample, with its share of the view that it is compared with, takes about as long as two
 # samples that met a body. So much of FEW_SAMPLES takes next to no time.
@@ -81,6 +87,7 @@ class Choice:
         same one
     n_made : how many of these two stages have been made
     share : of their new memory that is ready
+    begun : BegunJudgement of the last check, which the next ping concludes; None without one
     """
 
     level: int
@@ -93,6 +100,7 @@ class Choice:
     next_level: int | None = None
     n_made: int = 0
     share: float = 0.0
+    begun: BegunJudgement | None = None
 
     @property
     def is_planned(self) -> bool:
@@ -166,8 +174,13 @@ class AdaptiveSampling:
         if check and self.plan is None:
             return self._search(setup)
         resolution = self.resolution
-        self._stages.settle(resolution.stage.fan.n_samples)
-        if self.choice.is_due and not check:  # before the check, which would have to make it
+        if self._is_of_finer():
+            finer = replace(self.choice, level=self.plan.level)
+            self.choice = replace(self.choice, plan=self._unverified(finer, self.choice.level))
+        # memory is given back by a ping that takes no longer for another reason
+        is_busy = check or self.choice.begun is not None
+        self._stages.settle(resolution.stage.fan.n_samples, may_drop=not is_busy)
+        if self.choice.is_due and not is_busy:  # before the check, which would have to make it
             self._model.coarser_stage(resolution.stage)
         return replace(resolution, check=True) if check else resolution
 
@@ -180,12 +193,23 @@ class AdaptiveSampling:
         drawn, total, choice = received.drawn, received.direct.total, self.choice
         setup, resolution = drawn.setup, drawn.resolution
         has_changed = self.has_changed(total)
-        if resolution.is_final or not (resolution.check or has_changed or choice.next_level is not None):
+        if resolution.is_final:
             return None
-        if has_changed and choice.plan.met:
-            choice = replace(choice, plan=self._unverified(choice))
+        if choice.begun is not None:
+            choice = self._concluded(choice)
+            if has_changed:  # since the ping that was checked
+                plan = self._unverified(choice, choice.level) if choice.plan.met else choice.plan
+                choice = replace(choice, plan=plan, is_due=True)
+            self.choice = choice
+            return None
+        if not (resolution.check or has_changed or choice.next_level is not None):
+            return None
+        has_others = have_come_or_gone(choice.last_check.setup.state, setup.state)
+        if (has_changed or has_others) and choice.plan.met:
+            choice = replace(choice, plan=self._unverified(choice, choice.level))
         costs = self.history.costs
-        is_first_echo = choice.last_check.total <= 0 < total and len(costs) < LOOP_PINGS
+        is_loop = len(costs) >= LOOP_PINGS
+        is_first_echo = choice.last_check.total <= 0 < total and not is_loop
         if choice.next_level is not None and not is_first_echo:
             self.choice = self._prepared(choice, drawn)
             return None
@@ -193,25 +217,35 @@ class AdaptiveSampling:
             self.choice = choice if choice.is_due else replace(choice, is_due=True)
             return None
         tried = self._model.tried(resolution.stage, drawn.view, received.direct)
-        judged = self._model.judge(setup, choice.level, tried)
-        is_kept = self._is_kept(choice, judged)
-        if is_first_echo and not is_kept:
-            return self._search(setup)
         check = LastCheck(setup, total, self.history.n_pings)
-        checked = replace(
-            choice,
-            coverage=received.coverage,
-            plan=judged.plan,
-            last_check=check,
-            is_due=False,
-            next_level=None,
-        )
-        if is_kept:
-            self.choice = checked
-            self._warn_if_unmet(checked.plan)
-        else:
-            self.choice = self._moved(checked, choice.level + judged.steps)
+        checked = replace(choice, coverage=received.coverage, last_check=check, is_due=False, next_level=None)
+        is_costly = CHECK_COST * self._cost(choice.level, received.coverage) > MOST_COST * _usual(costs)
+        if is_loop and (is_costly or choice.plan.met):
+            # the arrays of the ping change as it is finished
+            echo = BeamEcho(received.direct.intensity.copy(), total)
+            begun = self._model.begun(setup, choice.level, tried._replace(echo=echo))
+            self.choice = replace(checked, begun=begun)
+            return None
+        judged = self._model.judge(setup, choice.level, tried)
+        if is_first_echo and not self._is_kept(choice, judged):
+            return self._search(setup)
+        self.choice = self._judged(checked, judged)
         return None
+
+    def _concluded(self, choice: Choice) -> Choice:
+        """Return a choice after the check that the ping before has begun."""
+        begun, choice = choice.begun, replace(choice, begun=None)
+        if begun.n_bodies < len(self._model.bodies):  # some were added since
+            return replace(choice, is_due=True)
+        return self._judged(choice, self._model.concluded(begun))
+
+    def _judged(self, choice: Choice, judged: Judgement) -> Choice:
+        """Return a choice after a check; warn if the tolerance cannot be kept."""
+        checked = replace(choice, plan=judged.plan)
+        if not self._is_kept(choice, judged):
+            return self._moved(checked, choice.level + judged.steps)
+        self._warn_if_unmet(checked.plan)
+        return checked
 
     def _prepared(self, choice: Choice, drawn: DrawnPing) -> Choice:
         """Return a choice that is a step nearer to its next level.
@@ -268,10 +302,14 @@ class AdaptiveSampling:
             if self._cost(n, choice.coverage) <= most
             and self._model.sampling_at(n).count(self._sonar) <= room
         ]
-        # coarser where none is finer: the next finer level costs less than the check that asked for it
-        level = (finer or [wanted])[-1]
+        # at least the next level, or else a check would ask for the same one again
+        level = (finer or [min(choice.level + 1, wanted)])[-1]
         finest = self.search.finest if level < choice.level else choice.finest
-        return replace(choice, next_level=level, n_made=0, share=0.0, finest=finest, is_due=True)
+        return self._on_its_way(choice, level, finest)
+
+    def _on_its_way(self, choice: Choice, level: int, finest: int) -> Choice:
+        """Return a choice whose samples are those of another level as soon as that has been prepared."""
+        return replace(choice, next_level=level, n_made=0, share=0.0, finest=finest, is_due=True, begun=None)
 
     def _cost(self, level: int, coverage: Coverage) -> float:
         """Return about what a ping costs without a check of its error, in samples that met a body."""
@@ -288,7 +326,7 @@ class AdaptiveSampling:
 
     def _can_check(self, level: int, coverage: Coverage, costs: Sequence[float]) -> bool:
         """Return whether a ping of a level, whose cost is the last of these, may cost a check of its error, too."""
-        return CHECK_COST * self._cost(level, coverage) <= MOST_COST * _usual(costs)
+        return PART_COST * self._cost(level, coverage) <= MOST_COST * _usual(costs)
 
     def costs_as_expected(self, coverage: Coverage) -> bool:
         """Return whether a ping costs about what was expected: it draws as many faces, and its samples meet as much."""
@@ -308,30 +346,51 @@ class AdaptiveSampling:
         if resolution.is_final or self.costs_as_expected(coverage):
             return resolution
         costs, level = self.history.costs, choice.level
-        is_loop, usual = len(costs) >= LOOP_PINGS, _usual(costs)
-        if is_loop and self._cost(level, coverage) > MOST_FULL_COST * usual:
-            while level > 0 and self._cost(level, coverage) > MOST_FINER_COST * usual:
-                level -= 1
-        is_coarser = level < choice.level
+        is_loop, usual, cost = len(costs) >= LOOP_PINGS, _usual(costs), self._cost(level, coverage)
+        if is_loop and cost > MOST_COST * usual:
+            level = self._coarser_level(coverage, usual)
+        later, is_coarser = level, level < choice.level
+        if is_loop and not is_coarser and cost > MOST_FULL_COST * usual:
+            while later > 0 and self._cost(later, coverage) > MOST_FINER_COST * usual:
+                later -= 1
         drops_check = resolution.check and is_loop and not self._can_check(level, coverage, costs)
         self.history = self.history._replace(costs=(*costs[:-1], self._cost(level, coverage)))
-        is_due = choice.is_due or is_coarser or drops_check
-        next_level = None if is_coarser else choice.next_level
-        self.choice = replace(choice, level=level, coverage=coverage, is_due=is_due, next_level=next_level)
+        self.choice = changed = replace(choice, level=level, coverage=coverage)
+        if is_coarser:
+            changed = replace(changed, is_due=True, next_level=None, begun=None)
+        elif later < (level if choice.next_level is None else min(level, choice.next_level)):
+            changed, drops_check = self._on_its_way(changed, later, choice.finest), resolution.check
+        elif drops_check:
+            changed = replace(changed, is_due=True)
+        if is_coarser or changed.next_level != choice.next_level or (drops_check and choice.plan.met):
+            changed = replace(changed, plan=self._unverified(choice, min(level, later)))
+        self.choice = changed
         if is_coarser or drops_check:
-            if is_coarser or choice.plan.met:
-                self.choice = replace(self.choice, plan=self._unverified(choice))
             return replace(self.resolution, halvings=resolution.halvings, is_final=True)
         return resolution
 
-    def _unverified(self, before: Choice) -> Plan:
-        """Return the Plan of the samples that are followed now, after the view has changed, or they became coarser.
+    def _coarser_level(self, coverage: Coverage, usual: float) -> int:
+        """Return the level with which a ping that was drawn is to be drawn once more, or its own if that saves nothing.
+
+        What it took to draw it is spent.
+        """
+        level = self.choice.level
+        whole = self._cost(level, coverage)
+        spent = DRAWN * (whole - self._cost_of(0, Coverage(coverage.share, 0)))
+        coarser = level
+        while coarser > 0 and spent + self._cost(coarser, coverage) > MOST_COST * usual:
+            coarser -= 1
+        return coarser if spent + self._cost(coarser, coverage) < whole else level
+
+    def _unverified(self, before: Choice, level: int) -> Plan:
+        """Return the Plan of the samples that are followed now, after the view has changed, or as they become coarser.
 
         It is not met until a check says so: as if those of before, or of the next finer level, just kept the tolerance.
+
+        level : that is followed, or will be as soon as it is prepared
         """
         plan, stage = before.plan, self.resolution.stage
-        levels = max(before.level - self.choice.level, 1)
-        coarser = 2.0 ** (ERROR_RATE * levels / LEVELS_PER_HALF)
+        coarser = 2.0 ** (ERROR_RATE * max(before.level - level, 1) / LEVELS_PER_HALF)
         return replace(
             plan,
             sampling=stage.sampling,
@@ -351,7 +410,9 @@ class AdaptiveSampling:
             ) from error
         if level < 0:
             raise error
-        self.choice = replace(self.choice, level=level, finest=level, is_due=True, next_level=None)
+        self.choice = replace(
+            self.choice, level=level, finest=level, is_due=True, next_level=None, begun=None
+        )
         return replace(self.resolution, check=True)
 
     def has_changed(self, total: float) -> bool:
@@ -393,12 +454,19 @@ class AdaptiveSampling:
 
     def is_deciding(self, history: PingHistory) -> bool:
         """Return whether the last ping of a history may change the samples of those after it, whatever it sees."""
-        return self.choice.next_level is not None or self.is_check_due(history)
+        choice = self.choice
+        is_under_way = choice.next_level is not None or choice.begun is not None
+        return is_under_way or self._is_of_finer() or self.is_check_due(history)
+
+    def _is_of_finer(self) -> bool:
+        """Return whether the tolerance was kept by finer samples than those that are followed."""
+        plan = self.plan
+        return plan is not None and plan.met and plan.level > self.choice.level
 
     def is_check_due(self, history: PingHistory) -> bool:
         """Return whether the error of the last ping of a history is to be estimated."""
         choice, checked = self.choice, self.choice.last_check
-        if choice.is_planned or choice.next_level is not None:
+        if choice.is_planned or choice.next_level is not None or choice.begun is not None:
             return False
         # the first one, or one that follows a ping that is still to choose
         if checked is None or len(history.costs) == 1:
@@ -474,8 +542,9 @@ class AdaptiveSampling:
 def cost_of(sonar: Sonar, acoustics: Acoustics, n_samples: float, coverage: Coverage) -> float:
     """Return about what a ping costs, in samples that met a body."""
     of_bins = (FILTERED_BIN if acoustics.pulse else BARE_BIN) * sonar.n_beams * sonar.n_bins
-    of_samples = n_samples * coverage.share + FACE * coverage.n_faces
-    return FIXED_SAMPLES + of_bins * (1 + COVERED_BIN * coverage.share) + of_samples
+    n_counted, n_faces = n_samples * coverage.share, coverage.n_faces
+    of_view = n_counted + FACE * n_faces + PIECE * math.sqrt(n_counted * n_faces)
+    return FIXED_SAMPLES + of_bins * (1 + COVERED_BIN * coverage.share) + of_view
 
 
 def _usual(costs: Sequence[float]) -> float:

@@ -107,6 +107,29 @@ class TriedView(NamedTuple):
         return self.view.bubbles is None and not self.counts.samples.any()
 
 
+class BegunJudgement(NamedTuple):
+    """A judgement of which the view to compare with has been drawn, and is still to be summed.
+
+    is_counted, is_compared : (bodies + 1,) of `_counting_bodies`, and which of these are compared between the views
+    stage, view : of the view to compare with; None where the ping is compared with itself
+    number : of that view, of all that were drawn to compare with
+    """
+
+    setup: PingSetup
+    level: int
+    tried: TriedView
+    is_counted: np.ndarray
+    is_compared: np.ndarray
+    stage: Stage | None
+    view: ViewSamples | None
+    number: int
+
+    @property
+    def n_bodies(self) -> int:
+        """Of the scene by then."""
+        return len(self.is_counted) - 1
+
+
 class ErrorModel:
     """Judges sampling levels by what they see. It keeps nothing of a ping: what it says depends on that ping alone.
 
@@ -119,6 +142,7 @@ class ErrorModel:
         self._stages, self._sonar = stages, stages.sonar
         self._gain, self._extents = gain, BodyExtents(self.bodies, stages.acoustics.specular)
         self._reach_rad = stages.acoustics.receive_support_rad(self._sonar)
+        self._n_drawn = 0  # views to compare with, each of which overwrites the one before
 
     @property
     def bodies(self) -> list:
@@ -155,11 +179,11 @@ class ErrorModel:
             echo = beamformer.sum_view(view, setup.gain)
         return self.tried(stage, view, echo)._replace(bodies=bodies, further=along)
 
-    def _coarser(self, setup: PingSetup, stage: Stage, is_counted: np.ndarray) -> TriedView:
-        """Return the view that one of a stage is compared with; is_counted : of `count_bodies`."""
-        coarser = self.coarser_stage(stage)
-        (view,) = coarser.draw([setup.head_pose], [setup.state], with_bodies=True)
-        return self.tried(coarser, view, coarser.beamformer.sum_view(view, setup.gain), is_counted)
+    def _draw_coarser(self, setup: PingSetup, stage: Stage) -> ViewSamples:
+        """Draw the view that one of another stage is compared with; stage : its own, of `coarser_stage`."""
+        self._n_drawn += 1
+        (view,) = stage.draw([setup.head_pose], [setup.state], with_bodies=True)
+        return view
 
     def tried(
         self, stage: Stage, view: ViewSamples, echo: BeamEcho, is_counted: np.ndarray | None = None
@@ -182,19 +206,40 @@ class ErrorModel:
         tried : with samples of that level
         before : of the same ping with fewer samples, to compare with; None to draw one
         """
+        return self.concluded(self.begun(setup, level, tried, draws=before is None), before)
+
+    def begun(self, setup: PingSetup, level: int, tried: TriedView, draws: bool = True) -> BegunJudgement:
+        """Return what `concluded` takes, with a view to compare with if that is to be drawn.
+
+        What it takes of the samples that were tried is read here; it holds their echo, of which no array may change.
+        """
         greatest = self._current_extents().greatest_echo(
             setup.state, setup.head_pose, self._reception(tried.stage)
         )
         tried = self._with_glints(setup, tried, greatest)
-        counts = self._counting_bodies(setup, tried, greatest)
-        is_compared = counts & (tried.counts.samples < MAX_COMPARED_SAMPLES)
-        if before is None:
-            is_empty = tried.echo.total <= 0 and not tried.counts.samples.any()
-            # fewer samples tell nothing then: a body that might be seen asks for more whatever they show of it
-            before = tried if is_empty else self._coarser(setup, tried.stage, is_compared)
+        is_counted = self._counting_bodies(setup, tried, greatest)
+        is_compared = is_counted & (tried.counts.samples < MAX_COMPARED_SAMPLES)
+        is_empty = tried.echo.total <= 0 and not tried.counts.samples.any()
+        # fewer samples tell nothing then: a body that might be seen asks for more whatever they show of it
+        stage = self.coarser_stage(tried.stage) if draws and not is_empty else None
+        view = None if stage is None else self._draw_coarser(setup, stage)
+        return BegunJudgement(setup, level, tried, is_counted, is_compared, stage, view, self._n_drawn)
+
+    def concluded(self, begun: BegunJudgement, before: TriedView | None = None) -> Judgement:
+        """Return a judgement that was begun; its view is drawn again if others were drawn over it.
+
+        before : as of `judge`, where none was drawn
+        """
+        setup, level, tried, is_counted, is_compared, stage, view, number = begun
+        if before is None and stage is None:
+            before = tried
+        elif before is None:
+            if number != self._n_drawn:
+                view = self._draw_coarser(setup, stage)
+            before = self.tried(stage, view, stage.beamformer.sum_view(view, setup.gain), is_compared)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
         whole = self._whole_error(tried, before, coarser)
-        worst = self._worst_body(tried, before, coarser, counts, is_compared)
+        worst = self._worst_body(tried, before, coarser, is_counted, is_compared)
         steps = min(math.ceil(max(whole.steps, worst.steps)), MAX_STEPS)
         stage = tried.stage
         estimates = whole.error, worst.error, worst.number

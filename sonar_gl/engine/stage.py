@@ -157,14 +157,16 @@ class StageCache:
         """Return about as many samples, as wide as whole columns; see `fitted_sampling`."""
         return fitted_sampling(self.sonar, sampling, self._beams, shear, self._widths)
 
-    def settle(self, n_samples: int) -> None:
+    def settle(self, n_samples: int, may_drop: bool = True) -> None:
         """Note how many samples a view has; give back the memory of larger ones if many in a row have far fewer.
 
         Each could give it back, but a view that has as many again would take the time to get it anew.
+
+        may_drop : now; otherwise one of the next views gives it back
         """
         self._recent.append(n_samples)
         most = max(self._recent)
-        if MUCH_FEWER * most < self._room:
+        if may_drop and MUCH_FEWER * most < self._room:
             self.drop_large()
             self._room = most
         self._room = max(self._room, most)

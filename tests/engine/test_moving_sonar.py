@@ -118,20 +118,20 @@ def test_without_that_limit_single_pings_stall(monkeypatch):
 def test_pings_that_wait_for_a_check_have_made_what_it_needs(monkeypatch):
     """The weights of its coarser samples take about a ping; with the check itself it would be too much for one ping."""
     made, checks = [], []
-    make, judge = StageCache.make, ErrorModel.judge
+    make, begun = StageCache.make, ErrorModel.begun
 
     def noted(stages, *arguments):
         made.append(0)
         return make(stages, *arguments)
 
-    def checked(*arguments):
+    def checked(*arguments, **more):
         before = len(made)
-        out = judge(*arguments)
+        out = begun(*arguments, **more)
         checks.append(len(made) - before)
         return out
 
     monkeypatch.setattr(StageCache, "make", noted)
-    monkeypatch.setattr(ErrorModel, "judge", checked)
+    monkeypatch.setattr(ErrorModel, "begun", checked)
     n_waiting, n_late_checks = 0, 0
     with sg.Simulator(SCENE, SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
         simulator.ping(np.eye(4))
@@ -155,8 +155,10 @@ def test_no_ping_makes_two_stages_and_none_that_is_checked_makes_any(monkeypatch
     """
     made, make = [], StageCache.make
     monkeypatch.setattr(StageCache, "make", lambda *arguments: made.append(0) or make(*arguments))
-    checks, judge = [], ErrorModel.judge
-    monkeypatch.setattr(ErrorModel, "judge", lambda *arguments: checks.append(0) or judge(*arguments))
+    checks, begun = [], ErrorModel.begun
+    monkeypatch.setattr(
+        ErrorModel, "begun", lambda *arguments, **more: checks.append(0) or begun(*arguments, **more)
+    )
     counts = []
     with sg.Simulator(SCENE, SONAR, IDEAL, tolerance=TOLERANCE) as simulator:
         simulator.ping(np.eye(4))  # searched

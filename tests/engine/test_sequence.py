@@ -262,11 +262,11 @@ def test_a_ping_that_fails_as_it_comes_out_leaves_what_it_leaves_in_single_calls
     check_same(one, other)
 
 
-@pytest.mark.parametrize(("first", "later"), [(LOOP_PINGS - 2, 0), (LOOP_PINGS + 2, 3)])
+@pytest.mark.parametrize(("first", "later"), [(LOOP_PINGS - 2, 0), (LOOP_PINGS + 2, 4)])
 def test_a_body_that_appears_later_gets_finer_samples(first, later):
     """With a tolerance the samples are those of single pings, and finer from the first ping with the body on.
 
-    In a loop, which must not stall, only once two more pings have made the stages.
+    In a loop, which must not stall, only once two pings have shared the check, and two more have made the stages.
     """
     wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(9), 0.3)
     buoy = sg.Body("buoy", trimesh.creation.icosphere(2, 0.06), sg.pose(4, 0.3), 1.0)
@@ -275,16 +275,16 @@ def test_a_body_that_appears_later_gets_finer_samples(first, later):
         alone = [it.ping(POSES[0], bodies=moved) for moved in bodies]
     with simulator(None, [wall, buoy], tolerance=0.05) as it:
         together = list(it.pings([POSES[0]] * len(bodies), bodies=bodies))
-    rows = [ping.meta["sampling"]["rows"] for ping in together]
-    assert rows == [ping.meta["sampling"]["rows"] for ping in alone]
-    assert len(set(rows[: first + later])) == 1 and rows[first + later] > rows[0]
+    columns = [ping.meta["sampling"]["columns_per_beam"] for ping in together]
+    assert columns == [ping.meta["sampling"]["columns_per_beam"] for ping in alone]
+    assert len(set(columns[: first + later])) == 1 and columns[first + later] > columns[0]
     assert (together[first].error_estimate > 0.05) == (later > 0)
 
 
 def test_a_body_that_appears_in_a_loop_is_unverified_until_a_check():
     """Of so many faces that its check must wait: the estimate without the body would be far below its error."""
     wall = sg.Body("wall", trimesh.creation.box((1, 60, 60)), sg.pose(9), 0.3)
-    buoy = sg.Body("buoy", trimesh.creation.icosphere(3, 0.06), sg.pose(4, 0.3), 1.0)
+    buoy = sg.Body("buoy", trimesh.creation.icosphere(5, 0.06), sg.pose(4, 0.3), 1.0)
     first = LOOP_PINGS + 2
     with simulator(None, [wall, buoy], tolerance=0.05) as it:
         before = [it.ping(POSES[0], bodies={"buoy": None}) for _ in range(first)]
