@@ -41,7 +41,7 @@ CHECK_COST, PART_COST = 2.1, 1.6
 # view has filled. From MOST_FULL_COST times on, those after it have fewer samples. Finer ones are as many as can be
 # checked at once. Nor may a ping have more than MOST_MORE times as many samples as the one before, two levels, unless
 # it has fewer than FEW_SAMPLES: where few of many meet a body, they cost little, but their memory does not.
-MOST_COST, MOST_FULL_COST, RECENT = 2.4, 2.0, 100
+MOST_COST, MOST_FULL_COST, RECENT = 2.3, 1.8, 100
 MOST_FINER_COST = MOST_COST / PART_COST
 MOST_MORE, FEW_SAMPLES = 2.1, 50_000
 DRAWN = 0.6  # of what the samples and faces of a ping cost, before they are summed
