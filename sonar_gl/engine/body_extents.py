@@ -316,6 +316,11 @@ class BodyExtents:
         """(bodies + 1,) bool by number, whether the body has a specular lobe."""
         return np.concatenate([[False], self._columns.lobes > 0.0])
 
+    @property
+    def are_means(self) -> np.ndarray:
+        """(bodies + 1,) bool by number, whether the body has a lobe, which is a mean about each sample."""
+        return np.concatenate([[False], self._columns.mean_lobes > 0.0])
+
     def sphere_about(self, number: int) -> Sphere:
         """Return the sphere about a body, in its frame; number : of the body, from 1."""
         return Sphere(self._columns.centres[number - 1], float(self._columns.radii_m[number - 1]))

@@ -46,6 +46,7 @@ from sonar_gl.sonar.sector import SHEAR
 COARSER = 2  # times fewer samples: with 3 or 4 both lattices miss some rods before a floor
 DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's own echo
 SMOOTH_FACTOR = 2.0  # times as much of a body with a specular lobe: most of its echo is that of few samples
+GLINT_SAMPLES = 32  # in what may be a glint: with so many it is met, and they show how uneven the echo is
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
 # Near the outline of a round body the footprints of both lattices reach too far alike. Such errors count from where
 # these bodies return more than this share of the echo, towards all of it.
@@ -110,6 +111,7 @@ class TriedView(NamedTuple):
 class BegunJudgement(NamedTuple):
     """A judgement of which the view to compare with has been drawn, and is still to be summed.
 
+    shares : (bodies + 1,) of `BodyExtents.glint_shares`
     is_counted, is_compared : (bodies + 1,) of `_counting_bodies`, and which of these are compared between the views
     stage, view : of the view to compare with; None where the ping is compared with itself
     number : of that view, of all that were drawn to compare with
@@ -118,6 +120,7 @@ class BegunJudgement(NamedTuple):
     setup: PingSetup
     level: int
     tried: TriedView
+    shares: np.ndarray
     is_counted: np.ndarray
     is_compared: np.ndarray
     stage: Stage | None
@@ -194,8 +197,9 @@ class ErrorModel:
         """
         extents = self._current_extents()
         found = count_bodies(view, len(self.bodies), self._reception(stage), is_counted)
-        # bodies of one reflectivity err along their outlines, which the number of samples tells of
-        counts = found._replace(unevenness=found.unevenness * extents.by_face)
+        # others err along their outlines alone, which the number of samples tells of
+        is_uneven = extents.by_face | extents.are_smooth
+        counts = found._replace(unevenness=found.unevenness * is_uneven)
         return TriedView(stage, view, echo, counts)
 
     def judge(
@@ -216,21 +220,23 @@ class ErrorModel:
         greatest = self._current_extents().greatest_echo(
             setup.state, setup.head_pose, self._reception(tried.stage)
         )
-        tried = self._with_glints(setup, tried, greatest)
-        is_counted = self._counting_bodies(setup, tried, greatest)
-        is_compared = is_counted & (tried.counts.samples < MAX_COMPARED_SAMPLES)
+        # most of the echo of a round smooth body is that of few samples, and none of them may have met the glint
+        shares = self._extents.glint_shares(tried.counts.echo, greatest, setup.state)
+        in_glint = tried.counts.samples * shares
+        is_counted = self._counting_bodies(setup, tried, greatest, in_glint)
+        is_compared = is_counted & (in_glint < MAX_COMPARED_SAMPLES)
         is_empty = tried.echo.total <= 0 and not tried.counts.samples.any()
         # fewer samples tell nothing then: a body that might be seen asks for more whatever they show of it
         stage = self.coarser_stage(tried.stage) if draws and not is_empty else None
         view = None if stage is None else self._draw_coarser(setup, stage)
-        return BegunJudgement(setup, level, tried, is_counted, is_compared, stage, view, self._n_drawn)
+        return BegunJudgement(setup, level, tried, shares, is_counted, is_compared, stage, view, self._n_drawn)
 
     def concluded(self, begun: BegunJudgement, before: TriedView | None = None) -> Judgement:
         """Return a judgement that was begun; its view is drawn again if others were drawn over it.
 
         before : as of `judge`, where none was drawn
         """
-        setup, level, tried, is_counted, is_compared, stage, view, number = begun
+        setup, level, tried, shares, is_counted, is_compared, stage, view, number = begun
         if before is None and stage is None:
             before = tried
         elif before is None:
@@ -239,26 +245,13 @@ class ErrorModel:
             before = self.tried(stage, view, stage.beamformer.sum_view(view, setup.gain), is_compared)
         coarser = tried.stage.sampling.count(self._sonar) / before.stage.sampling.count(self._sonar)
         whole = self._whole_error(tried, before, coarser)
-        worst = self._worst_body(tried, before, coarser, is_counted, is_compared)
+        worst = self._worst_body(tried, before, coarser, shares, is_counted, is_compared)
         steps = min(math.ceil(max(whole.steps, worst.steps)), MAX_STEPS)
         stage = tried.stage
         estimates = whole.error, worst.error, worst.number
         # of what only reaches into the last bin no tolerance can be kept; finer samples may find that it is nothing
         met = steps <= 0 or (tried.only_reaches and worst.number == 0)
         return Judgement(Plan(stage.sampling, level, *estimates, met, stage.fan.n_samples), steps)
-
-    def _with_glints(self, setup: PingSetup, tried: TriedView, greatest: np.ndarray) -> TriedView:
-        """Return a view of whose samples on smooth bodies only those count that tell how well a glint is met.
-
-        Most of the echo of a round smooth body is that of few samples, and none of them may have met the glint.
-
-        greatest : of `BodyExtents.greatest_echo`
-        """
-        found = tried.counts
-        shares = self._extents.glint_shares(found.echo, greatest, setup.state)
-        return tried._replace(
-            counts=found._replace(samples=found.samples * shares, strands=found.strands * shares)
-        )
 
     def _whole_error(self, tried: TriedView, before: TriedView, coarser: float) -> ErrorEstimate:
         """Estimate the share of the echo in wrong bins: by how the two lattices differ, and by what strips add to both.
@@ -277,12 +270,19 @@ class ErrorModel:
         return ErrorEstimate(0.0 if tried.only_reaches else error, steps)
 
     def _worst_body(
-        self, tried: TriedView, before: TriedView, coarser: float, counts: np.ndarray, is_compared: np.ndarray
+        self,
+        tried: TriedView,
+        before: TriedView,
+        coarser: float,
+        shares: np.ndarray,
+        counts: np.ndarray,
+        is_compared: np.ndarray,
     ) -> ErrorEstimate:
         """Estimate the error of each body's own echo, and return the largest; `coarser` as of `_whole_error`.
 
         By the samples that met it, by how the two lattices differ, and by what strips take beyond the samples.
 
+        shares : of `BodyExtents.glint_shares`
         counts : of `_counting_bodies`
         is_compared : likewise, which bodies are to be compared with `before`
         """
@@ -291,14 +291,16 @@ class ErrorModel:
         # the error is all of the difference.
         runs_along = 2 * runs < before.counts.runs
         factor = DIFFERENCE_FACTOR * np.where(runs_along, 1.0, share_of_difference(coarser, BODY_ERROR_RATE))
-        factor = factor * np.where(self._extents.are_smooth, SMOOTH_FACTOR, 1.0)
         # Of the less of both: samples along a thin rod take too much of it, and would understate by how much.
         less = np.minimum(echo, before.counts.echo)
         apart = factor * np.abs(echo - before.counts.echo) / np.maximum(less, 1e-30)
         apart = np.where(is_compared, apart, 0.0)
-        uneven = UNEVEN_FACTOR * unevenness / np.maximum(echo, 1e-30)
-        shown = np.minimum(np.maximum(apart, uneven), 1.0)
-        errors = np.maximum(body_error(np.maximum(hits, 1.0), strands), shown)
+        uneven = unevenness / np.maximum(echo, 1e-30)
+        is_textured = self._extents.by_face | ~self._extents.are_smooth
+        shown = np.maximum(apart, UNEVEN_FACTOR * uneven * is_textured)
+        errors = np.maximum(body_error(np.maximum(hits, 1.0), strands), np.minimum(shown, 1.0))
+        of_smooth = self._errors_of_smooth(tried.counts, shares, apart, uneven)
+        errors = np.where(self._extents.are_smooth, np.maximum(errors, of_smooth), errors)
         errors = np.hypot(errors, np.abs(of_strips - echo) / np.maximum(echo, 1e-30)) * counts
         if not counts.any():
             return ErrorEstimate(0.0, -math.inf)
@@ -306,20 +308,43 @@ class ErrorModel:
         finer = (errors[worst] / (WORST_BODY * self.tolerance)) ** (1 / BODY_ERROR_RATE)
         return ErrorEstimate(float(errors[worst]), LEVELS_PER_HALF / 2 * math.log2(finer), worst)
 
-    def _counting_bodies(self, setup: PingSetup, tried: TriedView, greatest: np.ndarray) -> np.ndarray:
+    def _errors_of_smooth(
+        self, found: BodyCounts, shares: np.ndarray, apart: np.ndarray, uneven: np.ndarray
+    ) -> np.ndarray:
+        """Return the errors of bodies by their glints, which return most of the echo of a smooth one.
+
+        Where so few samples may lie in a glint that it may be missed, as if these were all; the difference, which may
+        be small by chance, counts more. Where it cannot be missed, the echo errs inside the outline, too, as far as it
+        differs from sample to sample. Where a lobe is a mean about each sample, the smaller of both is enough.
+
+        found : without `shares`, which are of `BodyExtents.glint_shares`
+        apart, uneven : the errors that differences of lattices show, and of neighbouring samples
+        """
+        in_glint = found.samples * shares
+        by_glint = body_error(np.maximum(in_glint, 1.0), found.strands * shares)
+        by_glint = np.maximum(by_glint, np.minimum(SMOOTH_FACTOR * apart, 1.0))
+        by_all = body_error(np.maximum(found.samples, 1.0), found.strands)
+        by_all = np.maximum(np.hypot(by_all, np.minimum(uneven, 1.0)), np.minimum(apart, 1.0))
+        by_all = np.where(self._extents.are_means, np.minimum(by_glint, by_all), by_all)
+        return np.where(in_glint < GLINT_SAMPLES, by_glint, by_all)
+
+    def _counting_bodies(
+        self, setup: PingSetup, tried: TriedView, greatest: np.ndarray, in_glint: np.ndarray
+    ) -> np.ndarray:
         """Return (bodies + 1,) bool by number: which have so strong an echo that their own error counts.
 
         The echo of a body that few samples met is not known: it counts if it could be strong where it lies, unless it
         is hidden.
 
         greatest : of `BodyExtents.greatest_echo`
+        in_glint : how many samples on each body may lie in its glint; all where it has none
         """
         bodies, state, pose = self.bodies, setup.state, setup.head_pose
-        sectors, (hits, echo, *_) = tried.view.sectors, tried.counts
+        sectors, echo = tried.view.sectors, tried.counts.echo
         total, reception = echo.sum(), self._reception(tried.stage)
         counts = echo > MIN_ECHO_SHARE * total
         least = MIN_ECHO_SHARE * total
-        for body in np.flatnonzero(~counts & (hits < MIN_BODY_SAMPLES) & (greatest > least)):
+        for body in np.flatnonzero(~counts & (in_glint < MIN_BODY_SAMPLES) & (greatest > least)):
             one = bodies[body - 1]
             # samples on a mirror whose glint lies beside the fan have no echo, and are not among those that met it
             if greatest[body] * self._extents.share_in_view(body, one, state, pose, reception) > least:

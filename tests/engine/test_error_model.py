@@ -433,7 +433,7 @@ def test_the_error_of_a_body_is_judged_by_what_its_samples_show(
 
 
 def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
-    """Unevenness is that of bodies with a value a face."""
+    """Unevenness is that of bodies with a lobe, or a value a face."""
     made, box = trimesh.creation, trimesh.creation.box((1, 1, 1))
     ball = sg.Body("ball", made.icosphere(4, 0.5), sg.pose(5, 1), 0.1, specular=0.5, roughness_rad=0.1)
     bodies = [ball, sg.Body("striped", box, sg.pose(5, -1), np.linspace(0.1, 0.9, 12))]
@@ -449,7 +449,7 @@ def test_what_a_view_shows_of_bodies_is_weighed_by_their_kind(monkeypatch):
             louder = model.draw(replace(setup, gain=2 * setup.gain), 8)
             silent = shown._replace(counts=BodyCounts(*np.zeros((6, 4)))._replace(samples=np.full(4, 1e3)))
             judged = model.judge(setup, 8, silent, silent)
-    np.testing.assert_array_equal(shown.counts, met._replace(unevenness=met.unevenness * [0, 0, 1, 0]))
+    np.testing.assert_array_equal(shown.counts, met._replace(unevenness=met.unevenness * [0, 1, 1, 0]))
     assert louder.echo.total == pytest.approx(2 * shown.echo.total, rel=1e-5)
     assert judged.steps < 0  # where none counts, as of bubbles alone, the whole decides
 
@@ -495,27 +495,55 @@ def worst_beside_near(other, samples, share, acoustics=IDEAL, **request):
             return model.judge(setup, 8, view._replace(counts=met), before).plan.worst_body
 
 
+# Samples on a ball of a roughness of 0.1, their strands, the echo before, their unevenness, whether there are shading
+# normals, and the error that follows. Without normals 0.16 of the samples may lie in its glint.
+APART = SHOWN * 0.3 / 0.7
+
+
+def by_number(samples):
+    """Return the error of so many samples on a compact body."""
+    return 1.8 * (1 + 8 / samples) / samples**0.75
+
+
+GLINTS = {
+    "by all samples": (900, 0.0, 1.0, 0.0, False, BY_NUMBER),
+    "by strands": (900, 400.0, 1.0, 0.0, False, math.sqrt(400 / 30) * BY_NUMBER),
+    "by the difference": (900, 0.0, 0.7, 0.2, False, APART),
+    "by uneven samples": (900, 0.0, 0.9, 0.2, False, math.hypot(BY_NUMBER, 0.2)),
+    "at most all": (900, 0.0, 1.0, 2.0, False, math.hypot(BY_NUMBER, 1.0)),
+    "by few in the glint": (199, 0.0, 1.0, 0.2, False, by_number(0.16 * 199)),
+    "by strands in the glint": (199, 100.0, 1.0, 0.2, False, math.sqrt(16 / 31.84**0.5) * by_number(31.84)),
+    "by the difference of few in the glint": (199, 0.0, 0.7, 0.2, False, 2 * APART),
+    "by enough in the glint": (201, 0.0, 1.0, 0.1, False, math.hypot(by_number(201), 0.1)),
+    "by means of uneven samples": (900, 0.0, 1.0, 0.2, True, BY_NUMBER),
+    "by the difference of means": (900, 0.0, 0.7, 0.9, True, 2 * APART),
+    "by means of even samples": (900, 0.0, 0.7, 0.4, True, math.hypot(BY_NUMBER, 0.4)),
+}
+
+
 @pytest.mark.parametrize(
-    ("strands", "before", "error"),
-    [
-        (0.0, 1.0, 1.8 * (1 + 8 / 144) / 144**0.75),
-        (400.0, 1.0, math.sqrt(64 / 12) * 1.8 * (1 + 8 / 144) / 144**0.75),
-        (0.0, 0.7, 2 * SHOWN * 0.3 / 0.7),
-    ],
-    ids=["by samples", "by strands", "by the difference"],
+    ("samples", "strands", "before", "unevenness", "with_normals", "error"), GLINTS.values(), ids=list(GLINTS)
 )
-def test_a_smooth_body_is_judged_by_its_glint(strands, before, error):
-    """Of a ball of a roughness of 0.1, whose faces are flat, 0.16 of the samples count; a difference counts twice."""
-    mirror = sg.Body("mirror", trimesh.creation.icosphere(4, 0.5), sg.pose(5, 1), 0.1, None, 0.5, 0.1)
+def test_a_smooth_body_is_judged_by_its_glint(samples, strands, before, unevenness, with_normals, error):
+    """By what its samples show, if enough of them may lie in it; else by these, and twice the difference.
+
+    Where its lobe is a mean about each sample, the smaller of both counts.
+    """
+    mesh = trimesh.creation.icosphere(4, 0.5)
+    normals = mesh.vertex_normals if with_normals else None
+    mirror = sg.Body("mirror", mesh, sg.pose(5, 1), 0.1, normals, 0.5, 0.1)
     acoustics = sg.Acoustics("ideal", specular=True)
     with sg.Simulator(sg.Scene([NEAR, mirror]), SONAR, acoustics, tolerance=0.02) as simulator:
         run = simulator.run
         model, setup = run.sampler.search.model, run.set_up(PingRequest(np.eye(4)))
         with run.drawing():
             view = model.draw(setup, 8)
-            zeros, echo = np.zeros(3), np.array([0, 1, 1.0])
-            met = BodyCounts(np.array([0, 1e6, 900]), echo, echo, zeros, np.array([0, 0, strands]), zeros)
-            other = view._replace(counts=met._replace(echo=np.array([0, 1, before])))
+            # far brighter than a sphere, so that all samples tell of a mean
+            zeros, echo, of_mirror = np.zeros(3), np.array([0, 1, 1.0]), np.array([0, 0, 1.0])
+            met = BodyCounts(
+                np.array([0, 1e6, samples]), echo, echo, unevenness * of_mirror, strands * of_mirror, zeros
+            )
+            other = view._replace(counts=met._replace(echo=echo * (1 - (1 - before) * of_mirror)))
             coarse = model.coarser_stage(view.stage)
             plan = model.judge(setup, 8, view._replace(counts=met), other._replace(stage=coarse)).plan
     assert plan.worst_body == 2
