@@ -202,7 +202,11 @@ def _extents(bodies, specular: bool) -> _Extents:
 
 def _is_shaded(body) -> bool:
     """Return whether a body has shading normals all over, so that its lobe is a mean over each sample."""
-    return body.normals is not None and bool(np.any(body.normals, axis=1).all())
+    if body.normals is None:
+        return False
+    has_normal = np.any(body.normals, axis=1)
+    # vertices that no face uses need none
+    return bool(has_normal.all() or has_normal[np.asarray(body.surface.faces)].all())
 
 
 @compiled

@@ -189,6 +189,7 @@ def test_a_glint_fills_a_part_of_round_bodies(mesh, share):
         ("all", 9.0, 1.0),
         ("none", 1.0, 0.16),
         ("some", 1.0, 0.16),
+        ("all that faces use", 0.5, 0.5),
     ],
 )
 def test_samples_show_a_lobe_that_is_a_mean_as_far_as_its_echo_is_that_of_a_sphere(normals, mean, share):
@@ -197,6 +198,9 @@ def test_samples_show_a_lobe_that_is_a_mean_as_far_as_its_echo_is_that_of_a_sphe
     of_vertices = None if normals == "none" else np.array(mesh.vertex_normals)
     if normals == "some":
         of_vertices[7] = 0.0
+    if normals == "all that faces use":
+        mesh = trimesh.Trimesh(np.vstack([mesh.vertices, np.zeros(3)]), mesh.faces, process=False)
+        of_vertices = np.vstack([of_vertices, np.zeros(3)])
     smooth = sg.Body("ball", mesh, sg.pose(5), 0.2, of_vertices, 0.8, 0.1)
     rough = sg.Body("rough", mesh, sg.pose(5), 0.2)
     extents = BodyExtents([smooth, rough], specular=True)
