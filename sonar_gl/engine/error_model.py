@@ -47,6 +47,7 @@ COARSER = 2  # times fewer samples: with 3 or 4 both lattices miss some rods bef
 DIFFERENCE_FACTOR = 1.37  # of the error that the difference shows of a body's own echo
 SMOOTH_FACTOR = 2.0  # times as much of a body with a specular lobe: most of its echo is that of few samples
 GLINT_SAMPLES = 32  # in what may be a glint: with so many it is met, and they show how uneven the echo is
+MEAN_FACTOR = 0.6  # of such unevenness of a lobe that is a mean about each sample: of 20 errors 19 are less
 MIN_ECHO_SHARE = 5e-4  # of the total: bodies that return less are neglected; half of what is promised
 # Near the outline of a round body the footprints of both lattices reach too far alike. Such errors count from where
 # these bodies return more than this share of the echo, towards all of it.
@@ -324,7 +325,8 @@ class ErrorModel:
         by_glint = body_error(np.maximum(in_glint, 1.0), found.strands * shares)
         by_glint = np.maximum(by_glint, np.minimum(SMOOTH_FACTOR * apart, 1.0))
         by_all = body_error(np.maximum(found.samples, 1.0), found.strands)
-        by_all = np.maximum(np.hypot(by_all, np.minimum(uneven, 1.0)), np.minimum(apart, 1.0))
+        of_uneven = np.where(self._extents.are_means, MEAN_FACTOR, 1.0) * uneven
+        by_all = np.maximum(np.hypot(by_all, np.minimum(of_uneven, 1.0)), np.minimum(apart, 1.0))
         by_all = np.where(self._extents.are_means, np.minimum(by_glint, by_all), by_all)
         return np.where(in_glint < GLINT_SAMPLES, by_glint, by_all)
 

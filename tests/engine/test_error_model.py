@@ -516,8 +516,8 @@ GLINTS = {
     "by the difference of few in the glint": (199, 0.0, 0.7, 0.2, False, 2 * APART),
     "by enough in the glint": (201, 0.0, 1.0, 0.1, False, math.hypot(by_number(201), 0.1)),
     "by means of uneven samples": (900, 0.0, 1.0, 0.2, True, BY_NUMBER),
-    "by the difference of means": (900, 0.0, 0.7, 0.9, True, 2 * APART),
-    "by means of even samples": (900, 0.0, 0.7, 0.4, True, math.hypot(BY_NUMBER, 0.4)),
+    "by the difference of means": (900, 0.0, 0.7, 1.2, True, 2 * APART),
+    "by means of even samples": (900, 0.0, 0.7, 0.7, True, math.hypot(BY_NUMBER, 0.6 * 0.7)),
 }
 
 
