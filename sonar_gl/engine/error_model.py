@@ -230,7 +230,9 @@ class ErrorModel:
         # fewer samples tell nothing then: a body that might be seen asks for more whatever they show of it
         stage = self.coarser_stage(tried.stage) if draws and not is_empty else None
         view = None if stage is None else self._draw_coarser(setup, stage)
-        return BegunJudgement(setup, level, tried, shares, is_counted, is_compared, stage, view, self._n_drawn)
+        return BegunJudgement(
+            setup, level, tried, shares, is_counted, is_compared, stage, view, self._n_drawn
+        )
 
     def concluded(self, begun: BegunJudgement, before: TriedView | None = None) -> Judgement:
         """Return a judgement that was begun; its view is drawn again if others were drawn over it.
