@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
 # It has room for more than needed, so that finer samples use the memory of the coarser ones, and need new memory for
 # the rest alone: the system provides memory only for what is used. Where the room is 4 MiB or more, it does so in pages
-# of 2 MB, which NumPy asks for: an array that needs less than LARGE_BYTES has room for SMALL_ROOM_BYTES.
-RESERVE, LARGE_BYTES, SMALL_ROOM_BYTES, LARGE_ROOM_BYTES = 2, 2_000_000, 4_000_000, 64_000_000
+# of 2 MB, which NumPy asks for: an array that needs less than LARGE_BYTES has room for SMALL_ROOM_BYTES. Another one
+# has room for ROOM_ROWS, as many as the samples of a view for which they are chosen, or for LARGE_ROOM_BYTES.
+RESERVE, LARGE_BYTES, SMALL_ROOM_BYTES = 2, 2_000_000, 4_000_000
+ROOM_ROWS, LARGE_ROOM_BYTES = 1 << 23, 1 << 27
 # It is replaced by a smaller one where so many uses in a row have needed less than one of MAX_ROWS_PER_NEEDED rows, or
 # else coarse pings would keep the memory of a fine one; not below MIN_KEPT rows. The sectors of a ping take turns, and
 # those of side lobes need few rows: a smaller array at once would be replaced by a larger one in each ping. Under "When
@@ -42,11 +45,15 @@ class ReusedArray:
         """Rows that have memory, or may soon."""
         return min(len(self._array), RESERVE * self._n_ready)
 
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a row."""
+        return self._array.dtype.itemsize * math.prod(self._array.shape[1:])
+
     def _made(self, count: int) -> np.ndarray:
         """Return an array with room for so many rows and more."""
-        row_bytes = self._array.dtype.itemsize * math.prod(self._array.shape[1:])
-        room_bytes = SMALL_ROOM_BYTES if count * row_bytes < LARGE_BYTES else LARGE_ROOM_BYTES
-        n_rows = max(RESERVE * count, room_bytes // row_bytes)
+        room_bytes = SMALL_ROOM_BYTES if count * self.row_bytes < LARGE_BYTES else LARGE_ROOM_BYTES
+        n_rows = max(RESERVE * count, min(room_bytes // self.row_bytes, ROOM_ROWS))
         return np.empty((n_rows, *self._array.shape[1:]), self._array.dtype)
 
     def take(self, count: int) -> np.ndarray:
@@ -62,6 +69,11 @@ class ReusedArray:
             self._most = self._n_uses = 0
         self._n_ready, self.n_last = max(self._n_ready, count), count
         return self._array[:count]
+
+    def missing_bytes(self, count: int) -> int:
+        """Return what `prepare` uses in all, before so many rows are taken."""
+        n_there = self.n_last if count <= len(self._array) else 0
+        return max(count - n_there, 0) * self.row_bytes
 
     def prepare(self, count: int, share: float) -> None:
         """Have memory ready before so many rows are taken; a share of what is missing. What was taken stays as it is.
@@ -81,6 +93,19 @@ class ReusedArray:
         self._next = None
         if self._size > MAX_KEPT_ROWS:
             self._array, self._n_ready = self._array[:0].copy(), 0
+
+
+def prepare_in_turn(arrays: Iterable[tuple[ReusedArray, int]], share: float) -> None:
+    """As `ReusedArray.prepare` of several arrays and their rows, one after the other: a share of what all are missing.
+
+    A share of each would take as many large pages as there are arrays, however small it is.
+    """
+    missing = [(one, count, one.missing_bytes(count)) for one, count in arrays]
+    ready = share * sum(n_bytes for _, _, n_bytes in missing)
+    for one, count, n_bytes in missing:
+        if n_bytes and ready > 0:
+            one.prepare(count, min(ready / n_bytes, 1.0))
+        ready -= n_bytes
 
 
 def _used(array: np.ndarray, first: int, end: int) -> int:

@@ -46,9 +46,10 @@ MOST_FINER_COST = MOST_COST / PART_COST
 MOST_MORE, FEW_SAMPLES = 2.1, 50_000
 DRAWN = 0.6  # of what the samples and faces of a ping cost, before they are summed
 # Before finer samples are drawn their memory is used for the first time, of no more samples at a time than this times
-# the usual cost. That of a sample, with its share of the view that it is compared with, takes about as long as two
-# samples that met a body. So much of FEW_SAMPLES takes next to no time.
-MOST_NEW = 0.2
+# the usual cost. That of a sample, with its share of the view that it is compared with, takes about as long as two to
+# seven samples that met a body: pages that the host of a virtual machine has to provide, too, take the longest. So much
+# of FEW_SAMPLES takes next to no time.
+MOST_NEW = 0.1
 LIKE_COST = 0.1  # share by which a ping may cost more or less than was expected
 # So many pings with echo, each near the one before, are a loop that must not stall. Fewer are those of a program that
 # looks at bodies now and then, or has others in each ping; or of a loop that has just begun.

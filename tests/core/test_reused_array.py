@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from sonar_gl.core.memory import return_free_memory
-from sonar_gl.core.reused_array import MAX_KEPT_ROWS, MIN_KEPT, USES_BEFORE_SMALLER, ReusedArray
+from sonar_gl.core.reused_array import (
+    MAX_KEPT_ROWS,
+    MIN_KEPT,
+    USES_BEFORE_SMALLER,
+    ReusedArray,
+    prepare_in_turn,
+)
 
 MANY, FEW = 10 * MIN_KEPT, 100
 
@@ -100,6 +106,34 @@ def test_memory_is_made_ready_in_another_array_where_there_is_no_room(array):
     larger = array.take(count)
     assert page_faults(lambda: larger.fill(4.0)) <= 2
     assert (taken == 3.0).all()
+
+
+def test_arrays_get_their_memory_one_after_the_other(array):
+    """Of a share of each, a large page would be the least."""
+    return_free_memory()
+    arrays = [array, *(ReusedArray(np.int32, 2) for _ in range(2))]
+    for one in arrays:
+        one.take(MANY)[:] = 1
+    wanted = [(one, 2 * MANY) for one in arrays]  # of which the first one has as many bytes as both others
+    assert page_faults(lambda: prepare_in_turn(wanted, 0.5)) > 2
+    assert page_faults(lambda: array.take(2 * MANY).fill(1.0)) <= 2
+    array.take(MANY)
+    for one in arrays[1:]:
+        assert page_faults(lambda one=one: one.take(2 * MANY).fill(1)) > 1  # of those there is none yet
+        one.take(MANY)
+
+
+def test_all_of_the_arrays_have_their_memory_in_the_end(array):
+    return_free_memory()
+    other = ReusedArray(np.uint16)
+    array.take(MANY)[:] = 1.0
+    other.take(MANY)[:] = 1  # too few bytes for much room: the missing ones are those of a whole array
+    n_bytes = array.missing_bytes(2 * MANY), other.missing_bytes(2 * MANY)
+    assert n_bytes == (16 * MANY, 2 * MANY if len(other) >= 2 * MANY else 4 * MANY)
+    for share in (0.3, 0.9, 1.0):
+        prepare_in_turn([(array, 2 * MANY), (other, 2 * MANY)], share)
+    for one in (array, other):
+        assert page_faults(lambda one=one: one.take(2 * MANY).fill(1)) <= 2
 
 
 def test_another_array_that_was_not_needed_is_dropped(array):

@@ -138,7 +138,7 @@ class TestMoving:
 
     @pytest.mark.parametrize("share", [0.4, 1.01])
     def test_finer_samples_get_their_memory_in_parts(self, simulator, share, monkeypatch):
-        """New memory of as many samples at a time as 0.2 of a usual ping costs, after pings that make both stages."""
+        """New memory of as many samples at a time as a tenth of what a ping costs, after pings that make both stages."""
         sampler, shares = simulator.run.sampler, []
         level, setup = sampler.choice.level, simulator.run.set_up(PingRequest(np.eye(4)))
         with simulator.run.drawing():
@@ -155,7 +155,7 @@ class TestMoving:
 
         monkeypatch.setattr(type(fine.renderer), "prepare", prepared)
         sampler.choice = replace(sampler.choice, next_level=level + 3, is_due=True)
-        sampler.history = sampler.history._replace(costs=(share * n_new / 0.2,) * 99)
+        sampler.history = sampler.history._replace(costs=(share * n_new / 0.1,) * 99)
         for number, _ in enumerate(
             expected := [[], [0.0], [0.4], [0.8], [1.0]] if share < 1 else [[], [1.0]]
         ):

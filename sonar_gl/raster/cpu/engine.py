@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from sonar_gl.core.grown_array import Room
-from sonar_gl.core.reused_array import ReusedArray
+from sonar_gl.core.reused_array import ReusedArray, prepare_in_turn
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.cpu.kernels.shading import write_lobes
 from sonar_gl.raster.cpu.kernels.tables import NOTHING, PatchFaces, PlacedBodies, Triangles, Vertices
@@ -101,10 +101,10 @@ class _Image:
         """Samples of the last view."""
         return self._arrays[0].n_last
 
-    def prepare(self, growth: float, share: float) -> None:
-        for one in (*self._arrays, self._lobes):
-            if one.n_last:
-                one.prepare(math.ceil(growth * one.n_last), share)
+    def arrays_of(self, growth: float) -> list[tuple[ReusedArray, int]]:
+        """Return the arrays that are in use, with the rows of a view of `growth` times the samples."""
+        used = [one for one in (*self._arrays, self._lobes) if one.n_last]
+        return [(one, math.ceil(growth * one.n_last)) for one in used]
 
     def drop_large(self) -> None:
         for one in (*self._arrays, self._lobes):
@@ -129,9 +129,9 @@ class _HalfWorkspace:
         planes, bodies, normals = self._triangles
         return Triangles(planes.take(count), bodies.take(count), normals.take(count * has_normals))
 
-    def prepare(self, count: int, share: float) -> None:
-        for one in self._buffer:
-            one.prepare(count, share)
+    def arrays_of(self, count: int) -> list[tuple[ReusedArray, int]]:
+        """Return the arrays of a visibility buffer, with the rows of one of so many samples."""
+        return [(one, count) for one in self._buffer]
 
     def drop_large(self) -> None:
         for one in (*self._buffer, *self._triangles):
@@ -155,11 +155,10 @@ class CpuWorkspace(RenderWorkspace):
     def prepare(self, n_samples: int, share: float) -> None:
         """Have memory ready for a view of so many samples, or a share of what is missing."""
         of_image, of_half = (math.ceil(n_samples * room) for room in self.room)
-        for image in self._images:
-            if n_last := self._images[0].n_last:
-                image.prepare(of_image / n_last, share)
-        for half in self.halves:
-            half.prepare(of_half, share)
+        n_last = self._images[0].n_last if self._images else 0
+        images = self._images if n_last else []
+        arrays = [pair for image in images for pair in image.arrays_of(of_image / n_last)]
+        prepare_in_turn(arrays + [pair for half in self.halves for pair in half.arrays_of(of_half)], share)
 
     def drop_large(self) -> None:
         """Drop large arrays; samples that were drawn stay valid."""
