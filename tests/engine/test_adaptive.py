@@ -138,7 +138,7 @@ class TestMoving:
 
     @pytest.mark.parametrize("share", [0.4, 1.01])
     def test_finer_samples_get_their_memory_in_parts(self, simulator, share, monkeypatch):
-        """New memory of as many samples at a time as a tenth of what a ping costs, after pings that make both stages."""
+        """New memory of as many samples at a time as a tenth of a ping costs, after pings that make both stages."""
         sampler, shares = simulator.run.sampler, []
         level, setup = sampler.choice.level, simulator.run.set_up(PingRequest(np.eye(4)))
         with simulator.run.drawing():
