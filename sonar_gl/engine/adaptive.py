@@ -460,9 +460,8 @@ class AdaptiveSampling:
         return is_under_way or self._is_of_finer() or self.is_check_due(history)
 
     def _is_of_finer(self) -> bool:
-        """Return whether the tolerance was kept by finer samples than those that are followed."""
-        plan = self.plan
-        return plan is not None and plan.met and plan.level > self.choice.level
+        """Return whether the last check was one of finer samples than those that are followed."""
+        return self.plan is not None and self.plan.level > self.choice.level
 
     def is_check_due(self, history: PingHistory) -> bool:
         """Return whether the error of the last ping of a history is to be estimated."""
