@@ -35,7 +35,7 @@ CHECK_CHANGE = 0.2  # of the whole echo
 FIXED_SAMPLES, FACE, PIECE = 10_000, 0.5, 2.0
 FILTERED_BIN, BARE_BIN, COVERED_BIN = 0.23, 0.046, 4.3
 # With a check of its error a ping takes CHECK_COST times as long. In a loop two pings may share a check: the first one
-# draws the view to compare with, the second one sums it. Each takes no more than PART_COST times as long.
+# draws the view to compare with, the second one sums it. Each takes about PART_COST times as long.
 CHECK_COST, PART_COST = 2.1, 1.6
 # No ping may cost more than MOST_COST times the usual one of the RECENT ones up to it, because of a check or since its
 # view has filled. From MOST_FULL_COST times on, those after it have fewer samples. Finer ones are as many as can be
@@ -193,7 +193,7 @@ class AdaptiveSampling:
         """
         drawn, total, choice = received.drawn, received.direct.total, self.choice
         setup, resolution = drawn.setup, drawn.resolution
-        has_changed = self.has_changed(total)
+        has_changed = self.has_changed(received)
         if resolution.is_final:
             return None
         if choice.begun is not None:
@@ -205,8 +205,7 @@ class AdaptiveSampling:
             return None
         if not (resolution.check or has_changed or choice.next_level is not None):
             return None
-        has_others = have_come_or_gone(choice.last_check.setup.state, setup.state)
-        if (has_changed or has_others) and choice.plan.met:
+        if has_changed and choice.plan.met:
             choice = replace(choice, plan=self._unverified(choice, choice.level))
         costs = self.history.costs
         is_loop = len(costs) >= LOOP_PINGS
@@ -411,17 +410,22 @@ class AdaptiveSampling:
             ) from error
         if level < 0:
             raise error
-        self.choice = replace(
-            self.choice, level=level, finest=level, is_due=True, next_level=None, begun=None
-        )
+        before = self.choice
+        self.choice = replace(before, level=level, finest=level, is_due=True, next_level=None, begun=None)
+        if before.plan is not None:
+            self.choice = replace(self.choice, plan=self._unverified(before, level))
         return replace(self.resolution, check=True)
 
-    def has_changed(self, total: float) -> bool:
-        """Return whether something came into view, or left, since the last check, by the sum of the echo."""
+    def has_changed(self, received: ReceivedPing) -> bool:
+        """Return whether bodies came or went since the last check, or the view changed, by the sum of the echo."""
+        checked, total = self.choice.last_check, received.direct.total
         if self.choice.is_planned:
             return False
-        before = 0.0 if self.choice.last_check is None else self.choice.last_check.total
-        return abs(total - before) > CHECK_CHANGE * before
+        if checked is None:
+            return total > 0
+        if have_come_or_gone(checked.setup.state, received.drawn.setup.state):
+            return True
+        return abs(total - checked.total) > CHECK_CHANGE * checked.total
 
     def fix(self, setups: Sequence[PingSetup]) -> Plan:
         """Choose for all of some pings, as `LevelSearch.find_for_all`, and stay with it."""

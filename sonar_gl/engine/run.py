@@ -296,7 +296,7 @@ class Run:
             self.image_sampling.begin_alone()
             return self._review_images(received)
         sampler = self.sampler
-        if choice is not sampler.choice or sampler.has_changed(received.direct.total):
+        if choice is not sampler.choice or sampler.has_changed(received):
             return True
         if not sampler.costs_as_expected(received.coverage):
             return True

@@ -45,8 +45,8 @@ class Sampler(Protocol):
     def is_deciding(self, history: object) -> bool:
         """Return whether the last ping of a history may change the samples of those after it, whatever it sees."""
 
-    def has_changed(self, total: float) -> bool:
-        """Return whether something came into view, or left, by the sum of the echo."""
+    def has_changed(self, received: ReceivedPing) -> bool:
+        """Return whether bodies came or went, or something came into view, or left, by the sum of the echo."""
 
     def fix(self, setups: Sequence[PingSetup]) -> Plan | None:
         """Choose samples for all of some pings, and stay with them."""

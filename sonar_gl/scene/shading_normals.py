@@ -31,9 +31,10 @@ def turned_share(body: Body) -> float:
     lengths = np.linalg.norm(areas, axis=1)
     normals = np.asarray(body.normals, np.float64)[faces]
     # of either side: faces may be listed the other way round than their normals point
-    cosines = np.abs(np.einsum("fki,fi->fk", normals, areas)).min(axis=1)
+    along = np.abs(np.einsum("fki,fi->fk", normals, areas))
+    least = np.cos(np.radians(MOST_TURNED_DEG)) * np.linalg.norm(normals, axis=2) * lengths[:, None]
     is_shaded = normals.any(axis=2).all(axis=1)  # a normal of zeros is that of the flat face
-    is_turned = is_shaded & (cosines < np.cos(np.radians(MOST_TURNED_DEG)) * lengths)
+    is_turned = is_shaded & (along < least).any(axis=1)
     return float(lengths[is_turned].sum() / max(lengths.sum(), 1e-300))
 
 

@@ -5,6 +5,7 @@ import math
 import re
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -49,6 +50,11 @@ def times(share, coverage):
     return coverage._replace(share=share * coverage.share)
 
 
+def received_of(setup, total):
+    """Return what of a ReceivedPing tells whether the view has changed."""
+    return SimpleNamespace(drawn=SimpleNamespace(setup=setup), direct=SimpleNamespace(total=total))
+
+
 class TestMoving:
     @pytest.fixture
     def simulator(self):
@@ -83,7 +89,9 @@ class TestMoving:
         with sg.Simulator(ball_and_floor(), SONAR, IDEAL) as simulator:
             total = simulator.ping(sg.pose()).intensity.sum(dtype=np.float64)
             sampler = simulator.run.sampler
-            changed = [sampler.has_changed(share * total) for share in (0, 0.79, 0.81, 1.19, 1.21)]
+            setup = sampler.choice.last_check.setup
+            received = [received_of(setup, share * total) for share in (0, 0.79, 0.81, 1.19, 1.21)]
+            changed = [sampler.has_changed(one) for one in received]
         assert changed == [True, True, False, False, True]
 
     @pytest.mark.parametrize(
@@ -300,7 +308,37 @@ class TestMoving:
         assert sampler.choice.begun is not None
         simulator.add(ball(20.0, name="another"))
         simulator.ping(np.eye(4))
-        assert sampler.choice.begun is None and sampler.choice.is_due and sampler.plan is before
+        assert sampler.choice.begun is None and sampler.choice.is_due
+        assert before.met and not sampler.plan.met
+
+    @pytest.fixture
+    def with_buoy(self):
+        """A simulator that has made pings, with another body that hardly changes the echo of all."""
+        scene = sg.Scene([*ball_and_floor().bodies, ball(6.0, 0.05, name="buoy")])
+        with sg.Simulator(scene, SONAR, IDEAL, tolerance=0.05) as simulator:
+            both, without = (
+                simulator.ping(np.eye(4), bodies=of).intensity.sum() for of in (None, {"buoy": None})
+            )
+            assert both != without and abs(both - without) < 0.1 * both
+            yield simulator
+
+    def test_bodies_that_come_between_both_pings_of_a_check_are_not_taken_for_checked(self, with_buoy):
+        simulator, sampler, gone = with_buoy, with_buoy.run.sampler, {"buoy": None}
+        sampler.history = sampler.history._replace(costs=(1e12,) * 20)
+        sampler.choice = replace(sampler.choice, is_due=True)
+        assert simulator.ping(np.eye(4), bodies=gone).error_estimate <= sampler.tolerance
+        assert sampler.choice.begun is not None
+        ping = simulator.ping(np.eye(4))
+        assert sampler.choice.begun is None and sampler.choice.is_due
+        assert ping.error_estimate > sampler.tolerance
+
+    def test_bodies_that_came_are_unverified_while_a_check_costs_too_much(self, with_buoy):
+        sampler = with_buoy.run.sampler
+        usual = cost_of(sampler.plan.n_samples, sampler.choice.coverage) / 1.5
+        sampler.history = sampler.history._replace(costs=(usual,) * 20)
+        assert sampler.plan.met
+        ping = with_buoy.ping(np.eye(4))
+        assert ping.error_estimate > sampler.tolerance and sampler.choice.is_due
 
     def test_a_check_that_a_ping_may_cost_alone_is_not_shared_where_the_estimate_is_above(self, simulator):
         """Its estimate is then that of this ping."""
@@ -431,6 +469,7 @@ class TestMoving:
             resolution = sampler.fewer_samples(error)
         assert resolution.check and resolution.stage.sampling == sampling_at(SONAR, 0)
         assert (sampler.choice.level, sampler.choice.finest, sampler.choice.is_due) == (0, 0, True)
+        assert not sampler.plan.met and sampler.plan.bound > sampler.tolerance  # it was of finer samples
         with pytest.raises(SampleLimitError):
             sampler.fewer_samples(error)
         plan = simulator.plan([np.eye(4)])

@@ -29,6 +29,7 @@ def test_normals_of_edges_lie_off_the_faces(mesh, share):
     turned.invert()
     assert turned_share(sg.Body("part", turned, normals=mesh.vertex_normals)) == share
     assert turned_share(sg.Body("part", mesh)) == 0.0
+    assert turned_share(sg.Body("part", mesh, normals=0.5 * mesh.vertex_normals)) == share  # of any length
 
 
 def test_a_scene_of_rounded_boxes_is_warned_of(tmp_path):
