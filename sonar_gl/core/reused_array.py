@@ -46,14 +46,14 @@ class ReusedArray:
         return min(len(self._array), RESERVE * self._n_ready)
 
     @property
-    def row_bytes(self) -> int:
+    def _row_bytes(self) -> int:
         """Bytes of a row."""
         return self._array.dtype.itemsize * math.prod(self._array.shape[1:])
 
     def _made(self, count: int) -> np.ndarray:
         """Return an array with room for so many rows and more."""
-        room_bytes = SMALL_ROOM_BYTES if count * self.row_bytes < LARGE_BYTES else LARGE_ROOM_BYTES
-        n_rows = max(RESERVE * count, min(room_bytes // self.row_bytes, ROOM_ROWS))
+        room_bytes = SMALL_ROOM_BYTES if count * self._row_bytes < LARGE_BYTES else LARGE_ROOM_BYTES
+        n_rows = max(RESERVE * count, min(room_bytes // self._row_bytes, ROOM_ROWS))
         return np.empty((n_rows, *self._array.shape[1:]), self._array.dtype)
 
     def take(self, count: int) -> np.ndarray:
@@ -73,7 +73,7 @@ class ReusedArray:
     def missing_bytes(self, count: int) -> int:
         """Return what `prepare` uses in all, before so many rows are taken."""
         n_there = self.n_last if count <= len(self._array) else 0
-        return max(count - n_there, 0) * self.row_bytes
+        return max(count - n_there, 0) * self._row_bytes
 
     def prepare(self, count: int, share: float) -> None:
         """Have memory ready before so many rows are taken; a share of what is missing. What was taken stays as it is.

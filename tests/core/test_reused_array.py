@@ -114,26 +114,25 @@ def test_arrays_get_their_memory_one_after_the_other(array):
     arrays = [array, *(ReusedArray(np.int32, 2) for _ in range(2))]
     for one in arrays:
         one.take(MANY)[:] = 1
-    wanted = [(one, 2 * MANY) for one in arrays]  # of which the first one has as many bytes as both others
+    wanted = [(one, 4 * MANY) for one in arrays]  # of which the first one has as many bytes as both others
     assert page_faults(lambda: prepare_in_turn(wanted, 0.5)) > 2
-    assert page_faults(lambda: array.take(2 * MANY).fill(1.0)) <= 2
-    array.take(MANY)
+    assert page_faults(lambda: array.take(4 * MANY).fill(1.0)) <= 2
     for one in arrays[1:]:
-        assert page_faults(lambda one=one: one.take(2 * MANY).fill(1)) > 1  # of those there is none yet
-        one.take(MANY)
+        assert page_faults(lambda one=one: one.take(4 * MANY).fill(1)) > 5  # of 8 large pages none is there
 
 
 def test_all_of_the_arrays_have_their_memory_in_the_end(array):
+    """Also one without room, all of whose rows are missing."""
     return_free_memory()
-    other = ReusedArray(np.uint16)
+    other, count = ReusedArray(np.uint16), 4 * MANY
     array.take(MANY)[:] = 1.0
-    other.take(MANY)[:] = 1  # too few bytes for much room: the missing ones are those of a whole array
-    n_bytes = array.missing_bytes(2 * MANY), other.missing_bytes(2 * MANY)
-    assert n_bytes == (16 * MANY, 2 * MANY if len(other) >= 2 * MANY else 4 * MANY)
+    other.take(MANY)[:] = 1
+    assert len(other) < count <= len(array)
+    assert (array.missing_bytes(count), other.missing_bytes(count)) == (3 * MANY * 16, count * 2)
     for share in (0.3, 0.9, 1.0):
-        prepare_in_turn([(array, 2 * MANY), (other, 2 * MANY)], share)
+        prepare_in_turn([(array, count), (other, count)], share)
     for one in (array, other):
-        assert page_faults(lambda one=one: one.take(2 * MANY).fill(1)) <= 2
+        assert page_faults(lambda one=one: one.take(count).fill(1)) <= 2
 
 
 def test_another_array_that_was_not_needed_is_dropped(array):
