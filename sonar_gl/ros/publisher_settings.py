@@ -21,6 +21,7 @@ from sonar_gl.core.errors import Error, errors_at
 from sonar_gl.core.poses import pose
 from sonar_gl.imaging.fan_image import colours
 from sonar_gl.ros.messages import BEAMS, TF
+from sonar_gl.ros.transport import check_topic
 from sonar_gl.sonar.sampling import check_tolerance
 
 # what is published: type
@@ -39,19 +40,8 @@ POSE_SOURCES = {
     "pose": "geometry_msgs/msg/PoseStamped",
     "tf": "tf2_msgs/msg/TFMessage",
 }
-TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")  # of REP 144 and ROS 2's design of names, with a full path
 FRAME = re.compile(r"[A-Za-z0-9_][\w/.:-]*")
 MAX_RATE_HZ = 1000.0
-
-
-def check_topic(what: str, name) -> str:
-    """Return the full name of a topic, which begins with "/"; an Error if ROS does not allow it."""
-    if isinstance(name, str) and TOPIC.fullmatch(name) and "__" not in name and len(name) < 200:
-        return name
-    raise Error(
-        f"{what} must be the full name of a topic: words of letters, digits and single _, each after a / (got "
-        f"{shown(name)}; such as /sonar/image)"
-    )
 
 
 def check_frame(what: str, name) -> str:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from sonar_gl.core.checks import check_whole_number, shown
 from sonar_gl.core.errors import Error
-from sonar_gl.ros.transport import MAX_DOMAIN, Topic
+from sonar_gl.ros.transport import MAX_DOMAIN, Topic, check_topic
 
 NO_HASH = "TypeHashNotSupported"  # in place of the hash with ROS 2 Humble
 PUBLISHER, SUBSCRIPTION = "MP", "MS"  # kinds of entities
@@ -24,8 +24,7 @@ PUBLISHER, SUBSCRIPTION = "MP", "MS"  # kinds of entities
 BEST_EFFORT, TRANSIENT_LOCAL, DEFAULT_DEPTH = 2, 1, 42
 GID_BYTES = 16
 ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")  # number, time, length of the GID, GID
-TOPIC_NAME, NODE_NAME = re.compile(r"(?:/[A-Za-z_]\w*)+", re.ASCII), re.compile(r"[A-Za-z_]\w*", re.ASCII)
-TYPE_NAME = re.compile(r"(\w+)/msg/(\w+)", re.ASCII)
+NODE_NAME, TYPE_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII), re.compile(r"(\w+)/msg/(\w+)", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,8 @@ class RosNode:
         >>> RosNode("talker").key(Topic("/chatter", "std_msgs/msg/String", "RIHS01_df66", "string data"))
         '0/chatter/std_msgs::msg::dds_::String_/RIHS01_df66'
         """
-        if not TOPIC_NAME.fullmatch(topic.name):
-            raise Error(f"the name of a topic must be like '/sonar/image' (got {shown(topic.name)})")
-        return "/".join([str(self.domain), topic.name[1:], *self._type(topic)])
+        name = check_topic("Topic.name", topic.name)
+        return "/".join([str(self.domain), name[1:], *self._type(topic)])
 
     def token(self, session: str) -> str:
         """Return the liveliness token of this node; `session` is the identifier of the zenoh session, hexadecimal."""

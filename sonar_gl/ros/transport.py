@@ -15,6 +15,8 @@ from sonar_gl.core.errors import Error, other_process_error
 from sonar_gl.ros.messages import message_types
 
 MAX_DOMAIN = 232  # of ROS 2; beyond, DDS has no ports
+# of REP 144 and ROS 2's design of names, with a full path
+TOPIC_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 def ros_domain(domain: int | None = None) -> int:
@@ -28,6 +30,16 @@ def ros_domain(domain: int | None = None) -> int:
     if not re.fullmatch("[0-9]{1,9}", text):
         raise Error(f"ROS_DOMAIN_ID must be a whole number in 0..{MAX_DOMAIN} (got {shown(text)})")
     return check_whole_number("ROS_DOMAIN_ID", int(text), 0, MAX_DOMAIN)
+
+
+def check_topic(what: str, name) -> str:
+    """Return the full name of a topic, which begins with "/"; an Error if ROS does not allow it."""
+    if isinstance(name, str) and TOPIC_NAME.fullmatch(name) and "__" not in name and len(name) < 200:
+        return name
+    raise Error(
+        f"{what} must be the full name of a topic: words of letters, digits and single _, each after a / (got "
+        f"{shown(name)}; such as /sonar/image)"
+    )
 
 
 @dataclass(frozen=True)

@@ -127,12 +127,16 @@ def test_an_attachment_has_the_bytes_of_the_design_document():
     assert attachment(0x102, 0x0123456789ABCDEF, bytes(range(16))).hex() == expected
 
 
+WRONG_NAME = "Topic.name must be the full name of a topic: words of letters, digits and single _"
+
+
 @pytest.mark.parametrize(
     ("name", "msgtype", "why"),
     [
-        ("sonar/image", "sensor_msgs/msg/Image", "the name of a topic must be like '/sonar/image'"),
-        ("/sonar/**", "sensor_msgs/msg/Image", "the name of a topic must be like '/sonar/image'"),
-        ("/sonar//image", "sensor_msgs/msg/Image", "the name of a topic must be like '/sonar/image'"),
+        ("sonar/image", "sensor_msgs/msg/Image", WRONG_NAME),
+        ("/sonar/**", "sensor_msgs/msg/Image", WRONG_NAME),
+        ("/sonar__image", "sensor_msgs/msg/Image", WRONG_NAME),
+        ("/sonar//image", "sensor_msgs/msg/Image", WRONG_NAME),
         ("/a", "sensor_msgs/Image", "the type of /a must be like 'sensor_msgs/msg/Image'"),
         ("/a", "*/msg/Image", "the type of /a must be like 'sensor_msgs/msg/Image'"),
     ],
