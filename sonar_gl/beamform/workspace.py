@@ -13,7 +13,7 @@ from sonar_gl.beamform.kernels import work_table
 from sonar_gl.beamform.kernels.body_sums import LabelRoom
 from sonar_gl.beamform.kernels.moments import MOMENTS
 from sonar_gl.beamform.kernels.runs import RUN, RunStore
-from sonar_gl.core.array_pool import ArrayPools
+from sonar_gl.core.memory import ArrayPools
 
 # Initial room of labels: bodies in a column, runs of bins, numbers. Where it is too small, samples are summed twice;
 # what is not used takes no memory.

@@ -14,7 +14,7 @@ import trimesh
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.poses import pose
 from sonar_gl.gl import context as gl
-from sonar_gl.gl.memory import free_bytes
+from sonar_gl.gl.driver import free_bytes
 from sonar_gl.scene.load import bundled_scenes, load_scene
 from sonar_gl.scene.scene import Body, Scene
 from sonar_gl.simulator import Simulator

@@ -13,8 +13,7 @@ from sonar_gl.beamform.beamformer import Beamformer, beam_shape, make_beamformer
 from sonar_gl.beamform.bubbles import BubbleShadow, attenuate, find_echoes, find_shadow
 from sonar_gl.beamform.kernels.views import view_index
 from sonar_gl.beamform.workspace import Workspace
-from sonar_gl.core.array_pool import ArrayPools
-from sonar_gl.core.memory import return_free_memory
+from sonar_gl.core.memory import ArrayPools, return_free_memory
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.engine import RasterEngine, Renderer
 from sonar_gl.raster.views import MAX_SAMPLES, RenderWorkspace

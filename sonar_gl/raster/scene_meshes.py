@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonar_gl.core.grown_array import Room
+from sonar_gl.core.memory import DynamicArrays
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.raster.cull import (
     LOBE,
@@ -75,7 +75,7 @@ class SceneMeshes:
         self._tree, self._has_lobes = (), False
         # Copies of this object share both. The place of a key counts if the mesh there has that key: it may be of a
         # copy that nobody kept.
-        self._room, self._places = Room(), {}
+        self._arrays, self._places = DynamicArrays(), {}
         self._meshes = np.empty(0, object)  # _KnownMesh of each mesh
 
     @property
@@ -120,16 +120,16 @@ class SceneMeshes:
         self._places.update(zip(new, range(len(self._meshes), len(self._meshes) + len(new)), strict=True))
         self._meshes = self._append("meshes", self._meshes, new.values())
         rows = np.asarray(rows, self.table.dtype)
-        self.table = self._room.append("table", self.table, [rows])
+        self.table = self._arrays.append("table", self.table, [rows])
         self._has_lobes |= bool((rows[:, LOBE] > 0).any())
         self._columns = {
-            name: self._room.append(name, old, [np.asarray(column, old.dtype)])
+            name: self._arrays.append(name, old, [np.asarray(column, old.dtype)])
             for (name, old), column in zip(self._columns.items(), zip(*boxes, strict=True), strict=True)
         }
         vars(self).pop("boxes", None)
         state = self.state
-        poses = self._room.append("poses", state.poses, [[body.pose for body in bodies]])
-        present = self._room.append("present", state.present, [np.ones(len(bodies), bool)])
+        poses = self._arrays.append("poses", state.poses, [[body.pose for body in bodies]])
+        present = self._arrays.append("present", state.present, [np.ones(len(bodies), bool)])
         self.state = SceneState(poses, present)
         self.bodies = self._append("bodies", self.bodies, bodies)
         return made
@@ -142,7 +142,7 @@ class SceneMeshes:
 
     def _append(self, name: str, old: np.ndarray, things) -> np.ndarray:
         """Return an array of objects and more of them."""
-        return self._room.append(name, old, [np.fromiter(things, object, len(things))])
+        return self._arrays.append(name, old, [np.fromiter(things, object, len(things))])
 
     def _append_levels(self, made) -> None:
         """Append the patches of meshes."""
@@ -157,7 +157,7 @@ class SceneMeshes:
             n_faces += len(one.levels.faces)
         if made:
             old = self.levels or {name: columns[0][:0] for name, columns in parts.items()}
-            self.levels = {name: self._room.append(name, old[name], parts[name]) for name in LEVEL_FIELDS}
+            self.levels = {name: self._arrays.append(name, old[name], parts[name]) for name in LEVEL_FIELDS}
             self._tree = tuple(self.levels[name] for name in PatchTree._fields)
 
     def view_from(

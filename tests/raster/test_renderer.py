@@ -12,7 +12,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.acoustics.boundary import cos_incidence, plane_of
 from sonar_gl.gl import context as gl
-from sonar_gl.gl import memory
+from sonar_gl.gl import driver
 from sonar_gl.gl import shaders as programs
 from sonar_gl.gl.functions import Functions
 from sonar_gl.raster.opengl import renderer
@@ -236,7 +236,7 @@ def test_too_many_samples_for_the_driver():
     with pytest.raises(sg.Error) as caught:
         simulate([sg.Body("box", BOX)], it, sg.Sampling(1000, 10))
     context = gl.create_context()
-    limit = memory.side_limit(context)
+    limit = driver.side_limit(context)
     context.release()
     assert str(caught.value).startswith(
         f"samples must fit the driver's limit of {limit} by {limit} pixels (got "
@@ -287,7 +287,7 @@ def make_none(patch, _simulator):
 
 
 def no_room(patch, _simulator):
-    patch.setattr(memory, "free_bytes", lambda _: 100_000)
+    patch.setattr(driver, "free_bytes", lambda _: 100_000)
 
 
 @pytest.mark.parametrize(

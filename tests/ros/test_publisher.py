@@ -18,7 +18,7 @@ from trimesh.transformations import quaternion_matrix
 
 import sonar_gl as sg
 from sonar_gl.core.errors import Error, MachineError
-from sonar_gl.gl.memory import CONTEXT_LOST, check_driver
+from sonar_gl.gl.driver import CONTEXT_LOST, check_driver
 from sonar_gl.ros import PoseSource, Publisher, PublisherSettings
 from sonar_gl.ros.messages import BEAMS, message_types
 from sonar_gl.ros.publisher import CLOCK_NS, StepResult

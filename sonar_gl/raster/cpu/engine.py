@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 
-from sonar_gl.core.grown_array import Room
-from sonar_gl.core.reused_array import ReusedArray, prepare_in_turn
+from sonar_gl.core.memory import DynamicArrays, ReusedArray, prepare_in_turn
 from sonar_gl.core.worker import SecondThread
 from sonar_gl.raster.cpu.kernels.shading import write_lobes
 from sonar_gl.raster.cpu.kernels.tables import NOTHING, PatchFaces, PlacedBodies, Triangles, Vertices
@@ -47,25 +46,25 @@ class LoadedMeshes:
     meshes : SceneMeshes, the bodies and their poses
     vertices : Vertices of all patches
     patches : tuple of PatchFaces; empty without bodies
-    room : Room for more vertices
+    arrays : DynamicArrays of the vertices
     """
 
     meshes: SceneMeshes
     vertices: Vertices
     patches: tuple[np.ndarray, ...] = ()
-    room: Room = field(default_factory=Room)
+    arrays: DynamicArrays = field(default_factory=DynamicArrays)
 
     def with_more(self, bodies) -> LoadedMeshes:
         """Return these and more bodies. This object stays as it is."""
         meshes = copy(self.meshes)
         made = meshes.add(bodies)
         if not made:
-            return LoadedMeshes(meshes, self.vertices, self.patches, self.room)
-        points = self.room.append("points", self.vertices.points, [one.points for one in made])
+            return LoadedMeshes(meshes, self.vertices, self.patches, self.arrays)
+        points = self.arrays.append("points", self.vertices.points, [one.points for one in made])
         normals = self._appended("normals", made, np.zeros(3, np.float32))
         reflectivity = self._appended("reflectivity", made, np.float32(1.0))
         patches = tuple(meshes.levels[name] for name in PatchFaces._fields)
-        return LoadedMeshes(meshes, Vertices(points, normals, reflectivity), patches, self.room)
+        return LoadedMeshes(meshes, Vertices(points, normals, reflectivity), patches, self.arrays)
 
     def _appended(self, name: str, made, default):
         """Return an attribute of all vertices, as soon as any mesh has it."""
@@ -76,7 +75,9 @@ class LoadedMeshes:
             old = np.broadcast_to(default, (n, *default.shape))
         parts = [getattr(one, name) for one in made]
         fill = [np.broadcast_to(default, (len(one.points), *default.shape)) for one in made]
-        return self.room.append(name, old, [f if p is None else p for p, f in zip(parts, fill, strict=True)])
+        return self.arrays.append(
+            name, old, [f if p is None else p for p, f in zip(parts, fill, strict=True)]
+        )
 
 
 class _Image:

@@ -10,7 +10,7 @@ import numpy as np
 
 from sonar_gl.core.data_files import data_folder
 from sonar_gl.gl.context import is_software
-from sonar_gl.gl.memory import check_driver
+from sonar_gl.gl.driver import check_driver
 from sonar_gl.gl.shaders import compile_program
 from sonar_gl.raster.opengl.sheets import Sheet, sheet_of
 from sonar_gl.raster.scene_meshes import SceneMeshes

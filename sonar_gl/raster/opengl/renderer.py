@@ -10,11 +10,11 @@ import moderngl
 import numpy as np
 
 from sonar_gl.core.errors import Error, MachineError, SampleLimitError
-from sonar_gl.core.reused_array import USES_BEFORE_SMALLER
+from sonar_gl.core.memory import USES_BEFORE_SMALLER
 from sonar_gl.gl import egl
 from sonar_gl.gl.context import is_software
+from sonar_gl.gl.driver import check_driver, check_room, side_limit
 from sonar_gl.gl.enums import CLIP_DISTANCE0
-from sonar_gl.gl.memory import check_driver, check_room, side_limit
 from sonar_gl.raster.opengl.buffers import SceneBuffers, draws_of
 from sonar_gl.raster.opengl.sheets import FURTHEST, MARGIN, draw_near
 from sonar_gl.raster.views import (

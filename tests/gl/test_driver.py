@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from sonar_gl.core.errors import Error, MachineError
-from sonar_gl.gl import memory
+from sonar_gl.gl.driver import check_driver, check_room, free_bytes, side_limit
 
 LIMITS = {
     "GL_MAX_TEXTURE_SIZE": 16384,
@@ -38,7 +38,7 @@ class Driver(SimpleNamespace):
     ],
 )
 def test_the_least_limit_bounds_a_framebuffer(limit, expected):
-    assert memory.side_limit(Driver(**limit)) == expected
+    assert side_limit(Driver(**limit)) == expected
 
 
 @pytest.mark.parametrize(
@@ -51,18 +51,18 @@ def test_the_least_limit_bounds_a_framebuffer(limit, expected):
 )
 def test_samples_must_fit_the_free_memory(extension, numbers):
     driver = Driver([extension], numbers=numbers)
-    assert memory.free_bytes(driver) == 5000 * 1024
-    memory.check_room(driver, 5000 * 1024)
+    assert free_bytes(driver) == 5000 * 1024
+    check_room(driver, 5000 * 1024)
     with pytest.raises(
         Error, match=r"samples must fit the memory of the graphics card \(got 10.0 MB, where 5.1 MB are free"
     ):
-        memory.check_room(driver, 10_000_000)
+        check_room(driver, 10_000_000)
 
 
 @pytest.mark.parametrize("driver", [Driver(), Driver(["GL_NVX_gpu_memory_info"], numbers={(0x9049, 1): [0]})])
 def test_a_driver_that_does_not_tell_its_memory_is_not_believed_to_lack_it(driver):
-    assert memory.free_bytes(driver) is None
-    memory.check_room(driver, 1 << 60)
+    assert free_bytes(driver) is None
+    check_room(driver, 1 << 60)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_a_driver_that_does_not_tell_its_memory_is_not_believed_to_lack_it(drive
 )
 def test_errors_of_the_driver(driver, message):
     with pytest.raises(Error, match=message) as caught:
-        memory.check_driver(driver)
+        check_driver(driver)
     # fewer samples would need less memory, but nothing else that a caller may ask for would help
     assert isinstance(caught.value, MachineError) == ("OUT_OF_MEMORY" not in str(caught.value))
 
@@ -91,4 +91,4 @@ def test_errors_of_the_driver(driver, message):
 @pytest.mark.parametrize("driver", [Driver(), Driver(["GL_KHR_robustness"]), Driver(status=0x8254)])
 def test_a_driver_without_errors(driver):
     """Without the extension there is no status to ask for."""
-    memory.check_driver(driver)
+    check_driver(driver)

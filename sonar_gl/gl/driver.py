@@ -1,4 +1,4 @@
-"""The driver's memory, and its errors: what a picture needs that is not drawn is an `Error`, not a black ping."""
+"""The memory of the driver, and its errors: what is not drawn is an `Error`, not a black ping."""
 
 from __future__ import annotations
 
