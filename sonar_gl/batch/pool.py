@@ -21,11 +21,10 @@ from sonar_gl.batch.manifest import PartRecord
 from sonar_gl.batch.parts import Batch
 from sonar_gl.batch.requests import BatchRequests
 from sonar_gl.batch.steps import STEPS
-from sonar_gl.core.cores import count_cores
+from sonar_gl.core.cores import count_cores, limit_threads
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError, is_out_of_memory
 from sonar_gl.core.load_numba import load_numba
 from sonar_gl.core.warn import collected_warnings, warn_caller
-from sonar_gl.engine.threads import limit_threads
 
 IN_PROGRESS = 9  # pings after the last finished one that a sequence may be at: two of its batches and one
 STALL_S = 900.0  # a process that is silent for longer is taken to hang

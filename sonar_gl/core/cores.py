@@ -1,4 +1,4 @@
-"""How many cores of the machine this process may use."""
+"""How many cores of the machine this process may use, and how many threads compute on them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+import numba
+
+MAX_THREADS = 8  # beyond this Python's own share of a ping, about a tenth of a millisecond, is the limit
 OWN_GROUPS, GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 
 
@@ -58,3 +61,17 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeError):
         return ""
+
+
+def n_threads() -> int:
+    """Return how many threads compute: one for each core that this process may use, or NUMBA_NUM_THREADS."""
+    count = numba.config.NUMBA_NUM_THREADS
+    if count == numba.config.NUMBA_DEFAULT_NUM_THREADS:  # it knows of no share of time, as of containers
+        count = count_cores()
+    return min(count, MAX_THREADS)
+
+
+def limit_threads(count: int) -> None:
+    """Have this process compute with so many threads, unless the user says how many by NUMBA_NUM_THREADS."""
+    if "NUMBA_NUM_THREADS" not in os.environ:
+        numba.config.NUMBA_NUM_THREADS = count

@@ -8,6 +8,7 @@ from contextlib import closing
 from functools import partial
 from typing import NamedTuple
 
+from sonar_gl.core.cores import n_threads
 from sonar_gl.core.errors import SampleLimitError
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import Job, JobThreads
@@ -16,7 +17,6 @@ from sonar_gl.engine.ping_worker import PingWorker
 from sonar_gl.engine.pipeline import draw, finish, receive, sample
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.engine.run import Run
-from sonar_gl.engine.threads import n_threads
 from sonar_gl.ping import Ping
 
 BATCH = 4  # pings drawn at once

@@ -13,10 +13,10 @@ from weakref import WeakSet
 import numpy as np
 
 from sonar_gl.core.checks import check_kind, check_number, is_number, shown, unknown_body_error
+from sonar_gl.core.cores import n_threads
 from sonar_gl.core.errors import Error, closed_error, other_process_error
 from sonar_gl.core.poses import MAX_TIME_S, check_pose, unscaled
 from sonar_gl.core.worker import Job, SecondThread, ThreadLock
-from sonar_gl.engine.threads import n_threads
 from sonar_gl.raster.engine import RasterEngine, make_engine
 from sonar_gl.scene.grown_scene import GrownScene
 from sonar_gl.scene.kept_meshes import KeptMeshes

@@ -60,3 +60,12 @@ def test_limits_outside_the_groups_do_not_count(system, tmp_path):
 def test_without_groups_all_cores_count(tmp_path, monkeypatch):
     monkeypatch.setattr(cores, "OWN_GROUPS", tmp_path / "none")
     assert cores.count_cores() == ALL
+
+
+@pytest.mark.parametrize(("numba_num", "share", "n"), [(64, 3, 3), (64, 64, 8), (2, 64, 2), (6, 3, 6)])
+def test_threads_fill_the_share_of_time_of_a_container(monkeypatch, numba_num, share, n):
+    """Numba knows the cores of the machine alone; a number that is set counts."""
+    monkeypatch.setattr(cores.numba.config, "NUMBA_DEFAULT_NUM_THREADS", 64)
+    monkeypatch.setattr(cores.numba.config, "NUMBA_NUM_THREADS", numba_num)
+    monkeypatch.setattr(cores, "count_cores", lambda: share)
+    assert cores.n_threads() == n

@@ -14,7 +14,7 @@ import trimesh
 import sonar_gl as sg
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.core.worker import Job, JobThreads
-from sonar_gl.engine import ping_worker, pipeline, sequence, threads, world
+from sonar_gl.engine import ping_worker, pipeline, sequence, world
 from sonar_gl.engine.adaptive import LOOP_PINGS
 from sonar_gl.engine.flow import Resolution
 from sonar_gl.engine.no_echo import MOST_IN_A_ROW, NoEchoWarning
@@ -524,15 +524,6 @@ def test_bodies_that_generators_place_are_not_warned_of(it):
         warnings.simplefilter("error")
         for _ in zip(it.pings(poses(2)), it.pings(poses(1)), strict=True):
             pass
-
-
-@pytest.mark.parametrize(("numba_num", "share", "n"), [(64, 3, 3), (64, 64, 8), (2, 64, 2), (6, 3, 6)])
-def test_threads_fill_the_share_of_time_of_a_container(monkeypatch, numba_num, share, n):
-    """Numba knows the cores of the machine alone; a number that is set counts."""
-    monkeypatch.setattr(threads.numba.config, "NUMBA_DEFAULT_NUM_THREADS", 64)
-    monkeypatch.setattr(threads.numba.config, "NUMBA_NUM_THREADS", numba_num)
-    monkeypatch.setattr(threads, "count_cores", lambda: share)
-    assert threads.n_threads() == n
 
 
 def test_a_sequence_that_ends_after_its_simulator_keeps_no_workers():
