@@ -187,7 +187,7 @@ class PartMaker:
         requests = [self._batch.requests[number] for number in numbers]
         return self._make(part, requests, dict(set_aside or {}), one_by_one, report)
 
-    def make_sample(self, numbers: list[int], report: Report = no_report) -> PartRecord:
+    def make_sample(self, numbers: list[int], report: Report) -> PartRecord:
         """Make these pings, no more than a part has, as if they were the first part, whose files they replace.
 
         They are numbered anew, so that the files are no data set, but as large as those of one.

@@ -37,9 +37,7 @@ class LiveOutput:
     job : path of a job file to which poses are added; None for `poses.toml` of the folder
     """
 
-    def __init__(
-        self, session, folder: str | Path, source: SceneSource | None, job: str | Path | None = None
-    ):
+    def __init__(self, session, folder: str | Path, source: SceneSource | None, job: str | Path | None):
         self._session, self.folder, self._source = session, Path(folder), source
         check_output_folder(self.folder)
         self._job = None if job is None else Path(job)

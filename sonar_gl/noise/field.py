@@ -77,9 +77,7 @@ class FieldNoise:
     thread : does a part of the work, with the same bytes; None: the caller does all
     """
 
-    def __init__(
-        self, ping: Ping, noise: Noise, seed: int, ping_number: int, thread: SecondThread | None = None
-    ):
+    def __init__(self, ping: Ping, noise: Noise, seed: int, ping_number: int, thread: SecondThread | None):
         self._ping, self._noise, self._seed, self._ping_number = ping, noise, seed, ping_number
         self._thread, self._streams, self._reception = thread, {}, reception_of(ping, noise)
 

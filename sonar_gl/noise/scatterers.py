@@ -78,17 +78,17 @@ def scatterers_of(
 
 
 @lru_cache(maxsize=8)
-def beam_response(taper_series: tuple[float, ...] = ()) -> np.ndarray:
+def beam_response(taper_series: tuple[float, ...]) -> np.ndarray:
     """Return the amplitude response of a beam from its axis to its support, (SUPPORT · POINTS + 1,) float32."""
     out = aperture_field(np.arange(int(SUPPORT * POINTS) + 1) / POINTS, taper_series).astype(np.float32)
     out.setflags(write=False)
     return out
 
 
-def beam_angle_rad(beam_width_rad: float, taper_series: tuple[float, ...] = ()) -> float:
+def beam_angle_rad(beam_width_rad: float, taper_series: tuple[float, ...]) -> float:
     """Return the integral of a beam's power pattern over the azimuths of its support, radians.
 
-    >>> round(float(beam_angle_rad(1.0)), 3)  # a uniform array: λ/L, less the 2.5 % beyond the support
+    >>> round(float(beam_angle_rad(1.0, ())), 3)  # a uniform array: λ/L, less the 2.5 % beyond the support
     1.1
     """
     power = beam_response(taper_series).astype(np.float64) ** 2

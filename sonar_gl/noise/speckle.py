@@ -83,7 +83,7 @@ class BeamNodes(NamedTuple):
     weights: np.ndarray
 
 
-def aperture_width(taper_series: tuple[float, ...] = ()) -> float:
+def aperture_width(taper_series: tuple[float, ...]) -> float:
     """Return the −3 dB width of a line array's beam, in λ/L.
 
     >>> round(aperture_width((0.23 / 0.54,)), 4)  # Hamming

@@ -148,7 +148,7 @@ class CpuWorkspace(RenderWorkspace):
     room : samples of an image, and of what a half draws at a time, for each sample of the last view
     """
 
-    def __init__(self, most_samples: int, beside: CpuWorkspace | None = None):
+    def __init__(self, most_samples: int, beside: CpuWorkspace | None):
         super().__init__(most_samples, _Image)
         self.halves = (_HalfWorkspace(), _HalfWorkspace()) if beside is None else beside.halves
         self.room = 0.0, 0.0
