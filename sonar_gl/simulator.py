@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.acoustics.water import Water
 from sonar_gl.core.checks import check_kind, shown
-from sonar_gl.core.errors import Error, copied_error
+from sonar_gl.core.closing import Closable
+from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.engine.flow import Plan
 from sonar_gl.engine.pipeline import make_ping
@@ -31,7 +32,7 @@ from sonar_gl.sonar.sampling import Sampling, check_tolerance
 from sonar_gl.sonar.sonar import Sonar
 
 
-class Simulator:
+class Simulator(Closable):
     """Makes pings of a scene with a sonar. Use it in a `with` block, or call `close()`.
 
     Parameters
@@ -334,15 +335,6 @@ class Simulator:
             return f"<Simulator of sonar {self.sonar.name!r}, closed>"
         name, by = world.given_scene.name, world.gl_info["renderer"]
         return f"<Simulator of scene {name!r}, sonar {self.sonar.name!r}, by {by}>"
-
-    def __reduce__(self):
-        raise copied_error("Simulator")  # in place of what copy and pickle say of a lock
-
-    def __enter__(self) -> Simulator:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     def __del__(self):
         if getattr(self, "_run", None) is not None:

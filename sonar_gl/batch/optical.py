@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sonar_gl.core.checks import check_kind, unknown_body_error
+from sonar_gl.core.closing import Closable
 from sonar_gl.core.errors import Error, closed_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.embed.camera import Camera
@@ -21,7 +22,7 @@ BACKGROUND_RGB = (0.0, 0.02, 0.05)  # where no body is
 NEAR_M, FAR_M = 0.1, 100.0
 
 
-class OpticalCamera:
+class OpticalCamera(Closable):
     """Renders a scene by a pinhole camera in clear water. Use it in a `with` block, or call `close()`.
 
     Bodies have the colours of their meshes; a mesh without colours is gray by its reflectivity. Both sides of
@@ -113,12 +114,6 @@ class OpticalCamera:
                 what = f"the pose of body {name!r}"
                 poses[name] = pose if pose is None else check_pose(pose, what, may_scale=True)
         return poses
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
 
     def close(self) -> None:
         """Release all OpenGL objects; a second call does nothing."""

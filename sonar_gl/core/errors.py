@@ -97,14 +97,6 @@ def other_process_error(kind: str) -> Error:
     return Error(f"a {kind} must be used in the process that made it; make one in each process")
 
 
-def copied_error(kind: str) -> Error:
-    """Return the error for copying or pickling an object that holds threads, ports or graphics memory."""
-    return Error(
-        f"a {kind} cannot be copied or pickled, since its threads and memory belong to it and to its process; make "
-        "another one with the same arguments"
-    )
-
-
 def nearest_names(name: str, known: Iterable[str]) -> str:
     """Return the hint about an unknown name: the most similar known names, or all of them if none is similar.
 

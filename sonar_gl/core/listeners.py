@@ -7,12 +7,13 @@ from collections import deque
 from collections.abc import Callable
 from threading import Condition, Thread, current_thread
 
+from sonar_gl.core.closing import Closable
 from sonar_gl.core.errors import Error
 
 logger = logging.getLogger(__name__)
 
 
-class Listener:
+class Listener(Closable):
     """Calls a function with what it is told, in a thread of its own.
 
     While the function is busy, new items take the place of the ones that wait: a slow listener misses items, and holds
@@ -25,11 +26,11 @@ class Listener:
     failure : exception that ended the listening, or None
     """
 
-    def __init__(self, call: Callable, name: str, waiting: int, on_close: Callable = lambda _: None):
+    def __init__(self, call: Callable, waiting: int, on_close: Callable):
         self.missed, self.failure = 0, None
         self._call, self._on_close = call, on_close
         self._items, self._changed, self._is_closed = deque(maxlen=waiting), Condition(), False
-        self._thread = Thread(target=self._serve, name=name, daemon=True)
+        self._thread = Thread(target=self._serve, name="sonar_gl listener", daemon=True)
         self._thread.start()
 
     @property
@@ -58,12 +59,6 @@ class Listener:
             self._changed.notify()
         if current_thread() is not self._thread:
             self._thread.join(timeout_s)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
 
     def _serve(self) -> None:
         try:

@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.beamform.beamformer import beam_shape, make_beamformer
 from sonar_gl.core.checks import check_kind
+from sonar_gl.core.closing import Closable
 from sonar_gl.core.data_files import data_folder
-from sonar_gl.core.errors import Error, closed_error, copied_error, other_process_error
+from sonar_gl.core.errors import Error, closed_error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import warn_caller
 from sonar_gl.core.worker import SecondThread, ThreadLock
@@ -94,7 +95,7 @@ IN_USE = (
 )
 
 
-class Sensor:
+class Sensor(Closable):
     """A sonar that makes pings of the images that other programs render.
 
     Use it in a `with` block, or call `close()`.
@@ -389,15 +390,6 @@ class Sensor:
         host, self._host = self._host, None
         if host is not None:
             lifetime.release(host)
-
-    def __reduce__(self):
-        raise copied_error("Sensor")  # in place of what copy and pickle say of a lock
-
-    def __enter__(self) -> Sensor:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     def __del__(self):
         # No OpenGL calls here: the garbage collector may run this in the midst of other drawing.

@@ -17,7 +17,8 @@ import numpy as np
 
 from sonar_gl.analysis.terms import Price, price
 from sonar_gl.core.checks import check_function, check_kind, check_whole_number, unknown_body_error
-from sonar_gl.core.errors import Error, copied_error
+from sonar_gl.core.closing import Closable
+from sonar_gl.core.errors import Error
 from sonar_gl.core.listeners import Listener
 from sonar_gl.core.pose_track import PoseTrack
 from sonar_gl.core.poses import check_pose
@@ -46,7 +47,7 @@ from sonar_gl.simulator import Simulator
 logger = logging.getLogger(__name__)
 
 
-class LiveSession:
+class LiveSession(Closable):
     """Pings a scene in a thread of its own while somebody listens. Use it in a `with` block, or call `close()`.
 
     Raises Error if there is no pose, or the first ping fails.
@@ -328,15 +329,6 @@ class LiveSession:
     def wait_closed(self, timeout_s: float | None = None) -> bool:
         """Wait until the session is closed, or so many seconds; return whether it is."""
         return self._thread.wait_closed(timeout_s)
-
-    def __reduce__(self):
-        raise copied_error("LiveSession")  # in place of what copy and pickle say of a lock
-
-    def __enter__(self) -> LiveSession:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     # ---- the way of a ping, in the thread ----------------------------------------------------------------------
 

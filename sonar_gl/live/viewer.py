@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from sonar_gl.core.checks import check_function, check_kind, check_whole_number
-from sonar_gl.core.errors import Error, copied_error
+from sonar_gl.core.closing import Closable
+from sonar_gl.core.errors import Error
 from sonar_gl.core.hosts import is_local
 from sonar_gl.core.listeners import Listener
 from sonar_gl.core.load_numba import load_numba
@@ -32,7 +33,7 @@ PORT = 8080
 WAIT_S = 0.2  # between looks at whether a callback has failed
 
 
-class LiveView:
+class LiveView(Closable):
     """A page and the session behind it. Use it in a `with` block, or call `close()`.
 
     Raises Error if the extra `live` is missing, or the page cannot listen there.
@@ -95,15 +96,6 @@ class LiveView:
 
     def __repr__(self):
         return f"<LiveView at {self.url}{', closed' if self.session.wait_closed(0) else ''}>"
-
-    def __reduce__(self):
-        raise copied_error("LiveView")  # in place of what copy and pickle say of a lock
-
-    def __enter__(self) -> LiveView:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
 
 def warn_of_host(host: str) -> None:

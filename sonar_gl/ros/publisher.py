@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 
 from sonar_gl.acoustics.acoustics import Acoustics
 from sonar_gl.core.checks import check_kind, check_whole_number, is_iterable, unknown_body_error
-from sonar_gl.core.errors import Error, MachineError, closed_error, copied_error, other_process_error
+from sonar_gl.core.closing import Closable
+from sonar_gl.core.errors import Error, MachineError, closed_error, other_process_error
 from sonar_gl.core.poses import check_pose
 from sonar_gl.core.warn import collected_warnings
 from sonar_gl.engine.no_echo import NoEchoWarning
@@ -79,7 +80,7 @@ def _several(transports) -> tuple[Transport, ...]:
     return transports
 
 
-class Publisher:
+class Publisher(Closable):
     """Publishes pings over transports. Use it in a `with` block, or call `close()`; it does not close the transports.
 
     Where the scene places the sonar, it makes a ping at once and does not publish it: the first one is not late then.
@@ -461,12 +462,3 @@ class Publisher:
         executor.shutdown()
         if self._work is not None and (why := self._work.exception()) is not None:
             logger.warning("the last ping could not be made: %s", why)
-
-    def __reduce__(self):
-        raise copied_error("Publisher")  # in place of what copy and pickle say of a lock
-
-    def __enter__(self) -> Publisher:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()

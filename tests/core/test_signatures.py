@@ -11,6 +11,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl import embed, ros
+from sonar_gl.core.closing import Closable
 from sonar_gl.core.signatures import shown_by_fields
 from sonar_gl.embed.sectors import DrawnSector
 from sonar_gl.live.session import LiveSession
@@ -89,7 +90,8 @@ def test_types_of_parameters_are_stated(name):
 )
 def test_blocks_have_the_type_of_their_object(kind):
     """Otherwise `simulator` of `with sg.Simulator(...) as simulator` and all that it returns is Any."""
-    assert get_type_hints(kind.__enter__)["return"] is kind
+    hints = get_type_hints(kind.__enter__)
+    assert hints["return"] is (hints["self"] if issubclass(kind, Closable) else kind)
 
 
 def test_a_simulator_takes_another_one_in_its_types_too():

@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping
 from threading import Lock, Thread
 
+from sonar_gl.core.closing import Closable
 from sonar_gl.core.errors import Error
 from sonar_gl.core.extras import missing_extra
 from sonar_gl.core.hosts import check_host
@@ -32,7 +33,7 @@ FRAMES = 6  # of the scene that a browser could draw between two changes: pictur
 LONGEST_NODES_S = 1.5  # between two changes of the scene for slow browsers, at most
 
 
-class ViewerPage:
+class ViewerPage(Closable):
     """Serves the page until it is closed. Several browsers may show it; what one changes, all see.
 
     Raises Error if viser is missing, or the host is no address of this machine.
@@ -98,12 +99,6 @@ class ViewerPage:
     def _stop_server(self) -> None:
         with _quiet_viser():
             self.server.stop()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.close()
 
     # ---- browsers -------------------------------------------------------------------------------------------
 
