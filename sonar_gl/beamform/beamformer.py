@@ -191,16 +191,12 @@ class Beamformer:
 
     Raises SampleLimitError if a sector has more rows than the kernels have room for.
 
-    Parameters
-    ----------
     far_lobes : what beams receive beyond these weights; None for nothing
     elevation_pattern : function (sine of elevation) -> two-way power pattern, or None for a box
     thread : for the second half; None does both halves in the caller's thread
     is_box : beams are boxes, which end where columns end
     workspace : arrays that every ping uses again, to share with other beamformers; None for its own
 
-    Attributes
-    ----------
     strips : StripTable of each sector, for each half of the columns
     elevation_table : (E,) two-way power pattern at even sines from -1 to 1, `elevations_of`; of no length for a box
     """

@@ -36,8 +36,6 @@ FIRST_AZIMUTH, FIRST_SINE, FIRST_RANGE, AZIMUTH_STEP, SINE_STEP, RANGE_STEP = ra
 class BubbleShadow(NamedTuple):
     """The optical depth of bubbles, as seen from one pose.
 
-    Attributes
-    ----------
     points : (n, 5) of the bubbles in or about the fan; columns AZIMUTH to EXTINCTION
     middle : azimuth from which those of `points` and `grid` count
     grid : (6,) azimuth, sine of elevation and range of the first cell, and their steps
@@ -60,8 +58,6 @@ def _share(i, x, half):
 def _add_depth(points, grid, tau):
     """Share the extinction of bubbles among the cells about each, then sum τ over range.
 
-    Parameters
-    ----------
     points, grid : of BubbleShadow
     tau : of BubbleShadow, zeros
     """
@@ -104,8 +100,6 @@ def _depth(azimuth, sine, r, grid, tau):
 def _attenuate(plane_echo, face_id, sectors, middle, grid, tau):
     """Multiply the echo of each sample of a view by exp(−2τ), in place, and give those that change faces of their own.
 
-    Parameters
-    ----------
     plane_echo, sectors : of ViewIndex; middle : azimuth from which those of the grid count
     face_id : of ViewSamples
     """
@@ -188,8 +182,6 @@ def _wrapped(azimuth_rad):
 def find_shadow(bubbles: np.ndarray, pose, fan: Fan) -> BubbleShadow | None:
     """Return the optical depth of bubbles as seen from a pose; None if none lies in or about the fan.
 
-    Parameters
-    ----------
     bubbles : (n, 4) x y z in the world and radius, metres
     pose : (4, 4) world_from_sonar
     """
@@ -236,9 +228,7 @@ def find_echoes(view: ViewIndex, shadow: BubbleShadow | None) -> np.ndarray:
     A bubble of backscattering cross section σ_bs adds π σ_bs / r² to the sum over solid angle of μ cos θ: a
     small area dA at θ adds μ cos²θ dA / r², and its σ_bs is μ cos²θ dA / π.
 
-    Returns
-    -------
-    (m, 4) float64 : azimuth, sine of elevation, range, and steradians
+    Returns (m, 4) float64: azimuth, sine of elevation, range, and steradians.
     """
     if shadow is None:
         return np.empty((0, 4))

@@ -190,17 +190,12 @@ def read_poses(path) -> tuple[np.ndarray, np.ndarray]:
     earlier than the one before, a time or a place is too great for a ping, an angle looks like degrees, a quaternion is
     no unit one, or the file has no pose. The message names file, line and column.
 
-    Parameters
-    ----------
+    Returns the times, (N,) float64, and the poses, (N, 4, 4) float64 world_from_sonar.
+
     path : file with seconds, metres and radians. The order of columns is free; other columns and empty lines are
         ignored. Times do not fall from row to row. Angles lie within ±2π; beyond, each goes on from the row before by
         less than π, as unwrapped angles do, and there is a warning, since degrees may do so, too. In place of the
         angles may stand qx,qy,qz,qw, a unit quaternion, q or -q
-
-    Returns
-    -------
-    times_s : (N,) float64
-    poses : (N, 4, 4) float64, world_from_sonar
     """
     path = Path(path)
     check_kind_of_file(path, pipe=True)

@@ -59,8 +59,6 @@ LOOP_PINGS = 10
 class LastCheck(NamedTuple):
     """When the error was estimated last, and of what.
 
-    Attributes
-    ----------
     setup : PingSetup of that ping
     total : the sum of its echo
     n_pings : of the history by then
@@ -75,8 +73,6 @@ class LastCheck(NamedTuple):
 class Choice:
     """The samples that are followed, and why. It is replaced as a whole: an interrupt leaves the old or the new one.
 
-    Attributes
-    ----------
     level : sampling level of the last ping, or of the first to come
     finest : the finest level that is known to fit, where the sonar is
     coverage : of the last ping that was checked, or cost other than expected
@@ -112,8 +108,6 @@ class Choice:
 class PingHistory(NamedTuple):
     """The pings so far, as the sampler knows them.
 
-    Attributes
-    ----------
     n_pings : how many
     last : PingSetup of the last one; None before the first
     costs : of the last RECENT of them with echo, in samples; empty where the last one is still to choose its samples,
@@ -128,14 +122,10 @@ class PingHistory(NamedTuple):
 class AdaptiveSampling:
     """Chooses among sampling levels by what they see, and checks again as the sonar moves. A `Sampler`.
 
-    Parameters
-    ----------
     stages : StageCache
     tolerance : as for `Simulator`
     gain : (K,) of the sonar's bins
 
-    Attributes
-    ----------
     search : LevelSearch, for a ping by itself
     choice : Choice; whoever takes a step of several that may be broken off keeps it, and puts it back
     history : PingHistory

@@ -30,8 +30,6 @@ LEAST_FINER = 1.3
 class ChosenView(NamedTuple):
     """A view whose samples were chosen from it alone.
 
-    Attributes
-    ----------
     tried : TriedView, the last one that was tried
     plan : Plan
     """
@@ -43,8 +41,6 @@ class ChosenView(NamedTuple):
 class FoundLevel(NamedTuple):
     """The coarsest sampling level that keeps the tolerance in a ping.
 
-    Attributes
-    ----------
     plan : Plan of that level
     total : the sum of the ping's echo
     coverage : Coverage
@@ -69,14 +65,10 @@ def evenly_picked(things: Sequence, most: int) -> list:
 class LevelSearch:
     """Tries sampling levels in a ping. What it finds depends on no other ping.
 
-    Parameters
-    ----------
     stages : StageCache
     tolerance : as for `Simulator`
     gain : (K,) of the sonar's bins
 
-    Attributes
-    ----------
     model : ErrorModel, which judges what was tried
     usual : the level that most pings need
     finest : the finest level that there is. Fewer may fit, by how much of the fan bodies fill
@@ -93,14 +85,9 @@ class LevelSearch:
 
         So that level is not always the coarsest one that does.
 
-        Parameters
-        ----------
-        further : states of which views are drawn along
+        Raises SampleLimitError if the coarsest samples do not fit.
 
-        Raises
-        ------
-        SampleLimitError
-            if the coarsest samples do not fit.
+        further : states of which views are drawn along
         """
         chosen = self._try_finer(setup, further)
         self._stages.settle(chosen.plan.n_samples)
@@ -133,15 +120,10 @@ class LevelSearch:
     def find_coarsest(self, setup: PingSetup, first: int, finest: int | None = None) -> FoundLevel:
         """Find the coarsest level that keeps the tolerance in a ping, or the finest that fits.
 
-        Parameters
-        ----------
+        Raises SampleLimitError if the coarsest samples do not fit.
+
         first : level to begin with
         finest : the finest level to try; None for all
-
-        Raises
-        ------
-        SampleLimitError
-            if the coarsest samples do not fit.
         """
         finest = self.finest if finest is None else finest
         level = min(first, finest)

@@ -64,8 +64,6 @@ def draw(
 ) -> list[DrawnPing]:
     """Draw the depth + normal pass of some pings, and of their image sources; call it inside `Run.drawing`.
 
-    Parameters
-    ----------
     sources : ImageSources in the scene as it is now; None without multipath
     setups : of the pings; their bodies are those of the scene as it is now
     resolution : of all of them
@@ -116,8 +114,6 @@ def assemble(
     Its `meta` records how it was made. Counts are not taken here, but by `Ping.counts`. The arrays of `received` may be
     overwritten.
 
-    Parameters
-    ----------
     thread : does half of the matched filter and of the noise; None without one
     error_estimate : of the ping; None without one
     """
@@ -174,15 +170,11 @@ def _sample_once(run: Run, setup: PingSetup, resolution: Resolution) -> Received
 def _sample_apart(run: Run, setup: PingSetup) -> tuple[ReceivedPing | None, Resolution | None]:
     """Receive a ping whose samples are chosen from this ping alone.
 
-    Returns
-    -------
-    the ping, and the resolution with which it must be sampled again, None if it is good. Where its image sources need
-    more samples than fit, there is no ping but only a coarser resolution
+    Returns the ping, and the resolution with which it must be sampled again, None if it is good. Where its image
+    sources need more samples than fit, there is no ping but only a coarser resolution.
 
-    Raises
-    ------
-    SampleLimitError
-        if the image sources do not fit, and the request is `alone`, so that no coarser resolution may take its place.
+    Raises SampleLimitError if the image sources do not fit, and the request is `alone`, so that no coarser resolution
+    may take its place.
     """
     chosen = choose_samples(run.sampler.search, setup)
     tried, n_pings = chosen.tried, run.sampler.history.n_pings + 1
@@ -362,8 +354,6 @@ def shown_labels(
     depend on the seed of the noise. It is compared before the matched filter, too: the range side lobes of a bright
     body reach bins in which it has next to no echo.
 
-    Parameters
-    ----------
     received : to whose direct echo `filtered_powers` added the others
     labels : with shares of all echo, or None; its arrays are overwritten
     intensity : (B, K) after the matched filter
@@ -390,8 +380,6 @@ def ping_of(
 ) -> Ping:
     """Return a ping with the record of how it was made.
 
-    Parameters
-    ----------
     label_level_db : level from which on bins are labelled; None without labels
     fields : of `Ping`, what is not known from the other arguments: powers, labels and the estimated error
     """

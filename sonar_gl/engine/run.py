@@ -35,13 +35,9 @@ from sonar_gl.sonar.sonar import Sonar
 class Run:
     """One sonar in a world, with the objects that make its pings.
 
-    Parameters
-    ----------
     world : World; the run counts as one of its users
     sonar, acoustics, sampling, tolerance : as for `Simulator`
 
-    Attributes
-    ----------
     instrument : Instrument
     sampler : Sampler, which chooses the resolution of each ping
     image_sampling : ImageSampling, which chooses how finely image sources are sampled
@@ -135,10 +131,7 @@ class Run:
     def set_up(self, request: PingRequest) -> PingSetup:
         """Return a request resolved in the scene as it is now; do not call it inside `drawing`.
 
-        Raises
-        ------
-        Error
-            if it names a body that the scene lacks, or its water is invalid.
+        Raises Error if it names a body that the scene lacks, or its water is invalid.
         """
         with self.world.unchanged():
             return self.resolve(request)
@@ -265,8 +258,6 @@ class Run:
 
         Return None if only image sources were to be finer, and `received` has the finest that fit.
 
-        Parameters
-        ----------
         error : of the samples that do not fit
         received : the ping with coarser samples; None before it was received
         resolution : that does not fit

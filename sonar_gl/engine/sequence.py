@@ -36,8 +36,6 @@ class _TakenPing(NamedTuple):
 class _Batch(NamedTuple):
     """Pings to start together.
 
-    Attributes
-    ----------
     pings : _TakenPing of each; may be none
     is_apart : it is one ping, whose samples its thread chooses from it alone
     must_wait : the ping after these has to wait until they have come out, and those before them; or there is none
@@ -51,8 +49,6 @@ class _Batch(NamedTuple):
 class _Started(NamedTuple):
     """Pings that another thread makes.
 
-    Attributes
-    ----------
     job : answers a list of their ReceivedPings
     pings : of the job, those that have not come out
     choice : of the sampler, by which they are made
@@ -66,12 +62,8 @@ class _Started(NamedTuple):
 class _Upcoming:
     """Pings to come. The sampler's history has those that were taken, unless they are put back.
 
-    Parameters
-    ----------
     requests : may come from a user's generator, which may use the simulator itself
 
-    Attributes
-    ----------
     n_requests : number of requests that have come
     failure : why there are no more; or None
     are_small : to hand them to other threads gains nothing, by the last ping; so it is until a ping tells
@@ -167,8 +159,6 @@ class _Upcoming:
 class ReceiverThread:
     """OpenGL draws some pings at once, in the caller's thread, while another thread receives those before.
 
-    Attributes
-    ----------
     most : pings that are started at once
     can_choose : it can choose the samples of a ping from it alone
     ahead : how many such groups are in flight while the caller waits for one

@@ -33,8 +33,6 @@ EMPTY_SAMPLE = 0.37  # time of a sample that is drawn and met nothing, relative 
 class Coverage(NamedTuple):
     """What of a view takes time.
 
-    Attributes
-    ----------
     share : of the fan's samples: those that met a body, and a little of the others that were drawn
     n_faces : that were drawn
     """

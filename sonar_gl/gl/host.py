@@ -77,8 +77,6 @@ class CurrentContext:
 
     Raises Error if no context is current, or it is older than OpenGL 3.3, or it is one of OpenGL ES.
 
-    Attributes
-    ----------
     by_egl : whether it is an EGL context; else it is one of GLX
     handle : address of the EGLContext or GLXContext
     thread : where it is current

@@ -40,10 +40,7 @@ NPZ_FIELDS = tuple(f.name for f in dataclasses.fields(Ping) if f.name not in (*D
 def output_folder(path) -> Path:
     """Return the folder `path`, created if necessary and tested by writing a trial file.
 
-    Raises
-    ------
-    Error
-        that names the folder and the reason: not a folder, permission denied, disk full ...
+    Raises Error that names the folder and the reason: not a folder, permission denied, disk full ...
     """
     folder = Path(path)
     try:

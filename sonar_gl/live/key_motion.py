@@ -40,8 +40,6 @@ def moved(
     W and S go forward and backward along the boresight, A and D to port and to starboard, E and Q up and down in the
     world; the arrows turn. A sonar that is turned stays level: it gets no roll that it did not have.
 
-    Parameters
-    ----------
     world_from_sonar : (4, 4), and so what is returned
     keys : names of KEYS, in upper or lower case; others do nothing, and opposite keys cancel
     dt_s : seconds, 0 or more

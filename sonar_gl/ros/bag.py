@@ -73,8 +73,6 @@ def _libraries() -> SimpleNamespace:
 class BagSettings:
     """How pings are written.
 
-    Parameters
-    ----------
     y_sign : direction of y of beam_directions: "port", as sonar_image_proc reads them, in a frame with x
         down; or "starboard", as the message's documentation says, in a frame with x up. z is forward
     """
@@ -86,8 +84,6 @@ class BagSettings:
 class PingRecord:
     """One ping for a bag: topics /sonar/projected_image and /sonar/image, and its frames in /tf.
 
-    Attributes
-    ----------
     time_s : time of transmission, seconds of the simulation, 0 or more
     sonar : name of the sonar; characters that are no letters or digits become "_"
     ping : with its pose, sonar and acoustics, as `Simulator.ping` gives it; the sonar's counts are written
@@ -106,8 +102,6 @@ class PingRecord:
 class CameraRecord:
     """One camera image for a bag: /camera/image, /camera/depth, /camera/camera_info, and its frames in /tf.
 
-    Attributes
-    ----------
     time_s, vehicle_pose : as for a PingRecord
     pose : (4, 4) world_from_camera, x forward, y to port, z up, as for a sonar
     intrinsics : (3, 3), as for `Camera`; pixels count from the centre of the first

@@ -91,8 +91,6 @@ def _typesys():
 class MessageTypes:
     """The types of ROS 2 messages about pings and poses, those of Humble and of DEFINITIONS.
 
-    Attributes
-    ----------
     schema : function of a type's name such as "sensor_msgs/msg/Image" to its definition, which includes those of its
         fields, and the hash of both; an Error if the type is another
     """

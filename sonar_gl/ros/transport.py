@@ -72,7 +72,7 @@ class Topic:
         name, msgtype : as of a Topic; types are those of ROS 2 Humble, and of pings. Of others make a `Topic` with hash
             and definition: here they are an Error
         quality : `reliable`, `latched` and `depth` of the Topic
-        --------
+
         >>> Topic.of_type("/chatter", "std_msgs/msg/String").type_hash[:15]
         'RIHS01_df668c74'
         """

@@ -93,8 +93,6 @@ class PictureSector:
     touches it ahead would lie far below it at the sides of a wide fan; several planes, each for some of the beams, stay
     near it. A point of the cone is shown straight below, in the plane, so that neighbouring parts meet.
 
-    Attributes
-    ----------
     geometry : FanGeometry of the whole picture
     azimuths_rad : edges of the part, starboard first
     elevation_rad : of the cone

@@ -42,8 +42,6 @@ class ViewerPage(Closable):
     host : address to listen at
     port : to listen at; 0 for any that is free. If another program has it, the page takes a later one
 
-    Attributes
-    ----------
     url : address of the page
     server : viser.ViserServer, to which programs may add nodes and controls of their own
     marked : Surface that the last click in the picture has marked; None for none

@@ -35,8 +35,6 @@ def lobe_times_range(echo, range_m, strength, slope):
 def _is_faint(cos_over_depth, over_depth2, slope):
     """Return whether a lobe is surely 0, as it is for most samples: without a root, a quotient or an exponential.
 
-    Parameters
-    ----------
     cos_over_depth : cos θ times range over depth
     over_depth2 : square of range over depth
     """
@@ -48,8 +46,6 @@ def _is_faint(cos_over_depth, over_depth2, slope):
 def write_lobes(image, lobes, windows, lobes_alone):
     """Write a view in which bodies return their specular lobes alone, from the view in which they return all.
 
-    Parameters
-    ----------
     image : plane_echo, body_id and face_id of the whole view, as for `shade`; face_id is not read
     lobes : of `shade`
     windows : (S, 5) int64, a window of samples of each sector: its first column in the images of the whole view and of
@@ -179,8 +175,9 @@ def _write_bodies(buffer, bodies, left, body_id):
 def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes):
     """Write a visibility buffer into an image of samples, as shaders/gbuffer.frag does.
 
-    Parameters
-    ----------
+    Returns first and past the last column, counted from the window's, and first and past the last row of samples with a
+    lobe; without one, past the last comes before the first.
+
     buffer, triangles, view, window : as for `rasterize`
     bodies_seen : table of PlacedBodies, and whether any body has a specular lobe
     left : column of the image at which the window begins
@@ -188,11 +185,6 @@ def shade(buffer, triangles, view, window, bodies_seen, left, image, lobes):
         no length if it is not wanted
     lobes : (H, W) float32, overwritten with the specular lobe times range of each sample; of no length if they are not
         wanted
-
-    Returns
-    -------
-    first and past the last column, counted from the window's, and first and past the last row of samples with a lobe;
-    without one, past the last comes before the first
     """
     (body_rows, has_lobes), (plane_echo, body_id, face_id) = bodies_seen, image
     depth, triangle = buffer
