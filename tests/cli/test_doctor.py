@@ -245,6 +245,30 @@ def test_a_full_disk_of_the_cache_is_told(monkeypatch, nothing_to_compile):
     assert ok is None and detail.endswith(" (no space left on device)") and "NUMBA_CACHE_DIR" in cure
 
 
+def test_no_compiled_function_is_forgotten():
+    """What is compiled calls all of them, by the names in their code; the next test compiles them, which takes minutes.
+
+    In a process of its own, where no other test has called any. With machine code from disk only functions that
+    Python calls have signatures, and not those that these call in turn.
+    """
+    code = """
+from numba.core.dispatcher import Dispatcher
+from sonar_gl.cli import compilation
+compilation.compile_everything(processes=1)
+functions = compilation.compiled_functions()
+waiting, reached = [one for one in functions.values() if one.signatures], set()
+while waiting:
+    one = waiting.pop()
+    if one not in reached:
+        reached.add(one)
+        known = one.py_func.__globals__
+        waiting += [known[name] for name in one.py_func.__code__.co_names if isinstance(known.get(name), Dispatcher)]
+print(len(functions), *(name for name, one in functions.items() if one not in reached))
+"""
+    n_functions, *forgotten = python("-c", code, check=True, timeout=590).stdout.split()
+    assert forgotten == [] and int(n_functions) == n_compiled_in_source()
+
+
 @pytest.mark.slow
 def test_every_compiled_function_is_compiled(tmp_path):
     """In a process with an empty cache: functions that others call have no signatures where those come from disk.
