@@ -24,6 +24,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import cache, partial
 from importlib import metadata
@@ -33,6 +34,8 @@ from time import perf_counter
 import numpy as np
 
 import sonar_gl as sg
+from tests.support import gl_host
+from tests.support.gl_host import GL  # for EGL, whatever was imported before
 from tests.support.settings import described
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -234,82 +237,30 @@ def truth(acoustics):
     return sg.reference_ping(yard(), sonar, POSE, acoustics, error=0.5, max_rays=1e6, seed=1)
 
 
-VERTEX = """#version 330 core
-uniform mat4 view_from_body, projection;
-in vec3 position, normal;
-out vec3 seen;
-void main() {
-    seen = mat3(view_from_body) * normal;
-    gl_Position = projection * view_from_body * vec4(position, 1.0);
-}"""
-DRAWS_ECHO = """
-in vec3 seen;
-uniform float mu;
-uniform uint body;
-void main() { sonar_gl_write(seen, mu, body); }"""
-DRAWS_IMAGES = """#version 330 core
-in vec3 seen;
-uniform uint body;
-layout(location = 0) out vec4 normals;
-layout(location = 1) out uint numbers;
-layout(location = 2) out float metres;
-void main() { normals = vec4(seen, 0.0); numbers = body; metres = 1.0 / gl_FragCoord.w; }"""
+@contextmanager
+def host_of(scene: sg.Scene) -> Iterator[gl_host.Program]:
+    """A program with an OpenGL context of its own, which draws a scene with flat faces and one reflectivity a body."""
+    context = gl_host.make_context()
+    try:
+        yield gl_host.Program(sg.Scene([flat_body(body) for body in scene.bodies]))
+    finally:
+        context.release()
 
 
-class Host:
-    """A program with an OpenGL context of its own, which is current inside a `with` block."""
+def flat_body(body: sg.Body) -> sg.Body:
+    """The body with corners, and a normal, of each face's own, and the mean of its reflectivity."""
+    import trimesh
 
-    def __init__(self, scene: sg.Scene):
-        self.scene = scene
-
-    def __enter__(self):
-        import moderngl
-
-        self.gl = moderngl.create_context(standalone=True, backend="egl")
-        self.gl.enable_only(moderngl.DEPTH_TEST)
-        return self
-
-    def __exit__(self, *_):
-        self.gl.release()
-
-    def load(self, fragment: str):
-        """Compile the shaders and take the meshes up."""
-        self.program, self.meshes = self.gl.program(vertex_shader=VERTEX, fragment_shader=fragment), []
-        for body in self.scene.bodies:
-            normals = np.repeat(body.mesh.face_normals[:, None], 3, axis=1)
-            data = np.concatenate([body.mesh.triangles, normals], axis=2).astype("f4")
-            layout = [(self.gl.buffer(data), "3f 3f", "position", "normal")]
-            self.meshes.append(self.gl.vertex_array(self.program, layout))
-        return self
-
-    def draw(self, view, projection, **uniforms):
-        """Draw all bodies into what is bound."""
-        for number, (body, mesh) in enumerate(zip(self.scene.bodies, self.meshes, strict=True), 1):
-            matrices = {"view_from_body": view @ body.pose, "projection": projection, **uniforms}
-            for name, matrix in matrices.items():
-                self.program[name].write(np.ascontiguousarray(matrix.T, "f4").tobytes())
-            self.program["body"].value = number
-            if "mu" in self.program:
-                self.program["mu"].value = float(np.mean(body.reflectivity))
-            mesh.render()
-
-    def textures(self, camera: sg.Camera, pose):
-        """What a camera sees: GL names of depth, metres, normals and numbers; and the projection."""
-        size, projection = (camera.width, camera.height), camera.projection(0.1, 100.0)
-        depth = self.gl.depth_texture(size)
-        normals = self.gl.texture(size, 4, bytes(16 * size[0] * size[1]), dtype="f4")
-        numbers = self.gl.texture(size, 1, bytes(2 * size[0] * size[1]), dtype="u2", alignment=2)
-        metres = self.gl.texture(size, 1, bytes(4 * size[0] * size[1]), dtype="f4")
-        self.gl.framebuffer([], depth).clear(depth=1.0)
-        self.gl.framebuffer([normals, numbers, metres], depth).use()
-        self.draw(np.linalg.inv(camera.pose_gl(pose)), projection)
-        return depth.glo, metres.glo, normals.glo, numbers.glo, projection
+    corners = body.mesh.triangles.reshape(-1, 3)
+    mesh = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+    normals = np.repeat(body.mesh.face_normals, 3, axis=0)
+    return sg.Body(body.name, mesh, body.pose, float(np.mean(body.reflectivity)), normals)
 
 
 def joined(scene="yard", **how):
     """A simulator in a host's context."""
     scene = scene_of(scene)
-    with Host(scene), sg.Simulator(scene, SONAR, tolerance=0.05, context="current") as simulator:
+    with host_of(scene), sg.Simulator(scene, SONAR, tolerance=0.05, context="current") as simulator:
         path = [scene.sonar_pose @ sg.pose(0.2 * k, yaw=0.05 * k) for k in range(1, 4)]
         return [simulator.ping(scene.sonar_pose, **how), *simulator.pings(path, **how)]
 
@@ -317,11 +268,10 @@ def joined(scene="yard", **how):
 def sectors(sonar=SONAR, scene="yard", sampling=FIXED, **how):
     """A host draws the sectors of a fan."""
     scene = scene_of(scene)
-    with Host(scene) as host, sg.embed.Sensor(sonar, None, sampling, 0.05) as sensor:
-        host.load("#version 330 core\n" + sg.embed.glsl() + DRAWS_ECHO)
+    with host_of(scene) as host, sg.embed.Sensor(sonar, None, sampling, 0.05) as sensor:
         for sector in sensor.sectors(scene.sonar_pose):
             with sector:
-                host.draw(sector.view, sector.projection, sonar_gl_lattice=sector.lattice)
+                host.draw("sonar", sector.view, sector.projection, sector.lattice, in_double=True)
         return sensor.finish(bodies=[body.name for body in scene.bodies], **how)
 
 
@@ -329,15 +279,23 @@ def textures(sonar=SONAR, scene="yard", with_normals=True, holds="z-buffer", **h
     """A host hands over its textures, of as many cameras as cover the fan."""
     scene, cameras = scene_of(scene), sg.Camera.covering(sonar, pixel_deg=0.2)
     mu = {number: float(np.mean(body.reflectivity)) for number, body in enumerate(scene.bodies, 1)}
-    with Host(scene) as host, sg.embed.Sensor(sonar) as sensor:
-        host.load(DRAWS_IMAGES)
-        drawn = [host.textures(camera, scene.sonar_pose) for camera in cameras]
-        depth, metres, normals, numbers, projection = map(list, zip(*drawn, strict=True))
-        how |= {"rotation": [camera.rotation for camera in cameras], "body_id": numbers, "reflectivity": mu}
+    with host_of(scene) as host, sg.embed.Sensor(sonar) as sensor:
+        projections = [camera.projection(0.1, 100.0) for camera in cameras]
+        drawn = []
+        for camera, projection in zip(cameras, projections, strict=True):
+            host.framebuffers.clear()  # each camera has textures of its own
+            view = np.linalg.inv(camera.pose_gl(scene.sonar_pose))
+            drawn.append(host.textures(view, projection, camera.width, camera.height, in_double=True))
+        names = {key: [one[key] for one in drawn] for key in drawn[0]}
+        how |= {
+            "rotation": [camera.rotation for camera in cameras],
+            "body_id": names["numbers"],
+            "reflectivity": mu,
+        }
         if with_normals:
-            how["normals"] = normals
-        given = depth if holds == "z-buffer" else metres
-        return sensor.ping_from_textures(given, projection, scene.sonar_pose, holds, **how)
+            how["normals"] = names["normals"]
+        depth = names["metres" if holds == "planar" else holds]
+        return sensor.ping_from_textures(depth, projections, scene.sonar_pose, holds, **how)
 
 
 def images_of(camera: sg.Camera):
@@ -797,9 +755,9 @@ def fingerprint() -> dict[str, str]:
     lines = cpuinfo.read_text().split("\n\n")[0].splitlines() if cpuinfo.exists() else []
     about = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
     kinds = [about[key] for key in ("model name", "cpu family", "model", "stepping") if key in about]
-    with Host(yard()) as host:
-        opengl = {"OpenGL renderer": one(sampling=FIXED).meta["gl_renderer"]}
-        opengl["OpenGL version"] = host.gl.info["GL_VERSION"]
+    opengl = {"OpenGL renderer": one(sampling=FIXED).meta["gl_renderer"]}
+    with host_of(yard()):
+        opengl["OpenGL version"] = GL.glGetString(GL.GL_VERSION).decode()
     versions = {"python": platform.python_version()}
     for name in LIBRARIES:
         try:

@@ -37,19 +37,19 @@ uniform uint body;
 uniform vec2 lobe;
 void main() { sonar_gl_write(view_normal, mu, body, lobe); }
 """
-# a G-buffer as many engines have it, with normals of faces
+# a G-buffer as many engines have it, with normals of faces where meshes have none
 DEFERRED = """#version 330 core
 in vec3 view_position;
 in vec3 view_normal;
-flat in float mu;
 uniform uint body;
 layout(location = 0) out vec4 normals;
 layout(location = 1) out uint numbers;
 layout(location = 2) out float metres;
 void main() {
-    normals = vec4(normalize(cross(dFdx(view_position), dFdy(view_position))), 0.0);
+    vec3 face = normalize(cross(dFdx(view_position), dFdy(view_position)));
+    normals = vec4(view_normal == vec3(0.0) ? face : view_normal, 0.0);
     numbers = body;
-    metres = -view_position.z;
+    metres = 1.0 / gl_FragCoord.w;
 }
 """
 PICTURE = """#version 330 core
@@ -151,8 +151,11 @@ class Program:
             GL.glBindVertexArray(array)
             GL.glDrawArrays(GL.GL_TRIANGLES, 0, count)
 
-    def textures(self, view, projection, width, height):
-        """Draw a view into textures, and return their names: z-buffer, normals, numbers and metres."""
+    def textures(self, view, projection, width, height, in_double=False):
+        """Draw a view into textures, and return their names: z-buffer, normals, numbers and metres.
+
+        in_double : as of `draw`
+        """
         if (width, height) not in self.framebuffers:
             names = [new_texture() for _ in range(4)]
             framebuffer = GL.glGenFramebuffers(1)
@@ -185,6 +188,6 @@ class Program:
             GL.glClearBufferfv(GL.GL_COLOR, k, zero)
         GL.glClearBufferuiv(GL.GL_COLOR, 1, zero.view(np.uint32))
         GL.glClearBufferfv(GL.GL_DEPTH, 0, np.ones(1, np.float32))
-        self.draw("deferred", view, projection)
+        self.draw("deferred", view, projection, in_double=in_double)
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
         return dict(zip(("z-buffer", "normals", "numbers", "metres"), names, strict=True))
