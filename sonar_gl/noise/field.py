@@ -11,7 +11,7 @@ from sonar_gl.noise.k_distribution import multiply_by_texture
 from sonar_gl.noise.place_locked_speckle import FieldShape, place_locked_field
 from sonar_gl.noise.random_streams import stream
 from sonar_gl.noise.receiver import add_interference
-from sonar_gl.noise.reception import reception_of, required
+from sonar_gl.noise.reception import receiver_of, required
 from sonar_gl.noise.scatterers import add_scatterers, scatterers_of
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import BeamField, correlated_field, look_at
@@ -79,7 +79,7 @@ class FieldNoise:
 
     def __init__(self, ping: Ping, noise: Noise, seed: int, ping_number: int, thread: SecondThread | None):
         self._ping, self._noise, self._seed, self._ping_number = ping, noise, seed, ping_number
-        self._thread, self._streams, self._reception = thread, {}, reception_of(ping, noise)
+        self._thread, self._streams, self._receiver = thread, {}, receiver_of(ping, noise)
 
     def noisy(self) -> np.ndarray:
         """Return the intensity of the ping with these terms, (B, K) float32.
@@ -89,7 +89,7 @@ class FieldNoise:
 
         Raises Error if a term needs a sonar or a pose and the ping has none.
         """
-        noise, ping, power = self._noise, self._ping, self._reception.receiver_power
+        noise, ping, power = self._noise, self._ping, self._receiver.receiver_power
         out = echo = np.ascontiguousarray(ping.intensity, np.float32)
         if noise.speckle and ping.volume is not None:
             echo = np.maximum(echo - ping.volume, 0)  # rounding may make it negative
@@ -106,10 +106,10 @@ class FieldNoise:
             add_interference(
                 out,
                 noise.interference_lines,
-                self._reception.mean_power(noise.interference_db),
-                self._reception.correlation,
+                self._receiver.mean_power(noise.interference_db),
+                self._receiver.correlation,
                 ping.bin_size_m,
-                self._reception.assumed_sound_speed_m_s,
+                self._receiver.assumed_sound_speed_m_s,
                 self._stream("interference"),
             )
         return out
@@ -149,7 +149,7 @@ class FieldNoise:
 
     def _scattered_field(self) -> np.ndarray | None:
         """Return √V s, (B, 2, K); None without few scatterers."""
-        volume, correlation = self._ping.volume, self._reception.correlation
+        volume, correlation = self._ping.volume, self._receiver.correlation
         if volume is None:
             return None
         sonar = self._required("sonar", "the volume in which its water has scatterers")
@@ -166,17 +166,17 @@ class FieldNoise:
 
     def _new_field(self, term: str) -> BeamField:
         """Return a field that is new in each ping."""
-        return correlated_field(self._reception.correlation, len(self._ping.range_m), self._stream(term))
+        return correlated_field(self._receiver.correlation, len(self._ping.range_m), self._stream(term))
 
     def _place_locked_field(self, term: str, look: int) -> BeamField:
         """Return the field that belongs to the ping's pose, whatever its number."""
         sonar, pose = (self._required(name, PLACE_LOCKED) for name in ("sonar", "pose"))
-        ping, reception = self._ping, self._reception
+        ping, receiver = self._ping, self._receiver
         place = np.asarray(sonar.head_pose(pose), np.float64)[:2].tobytes()
-        wavelength_m = reception.sound_speed_m_s / sonar.frequency_hz
-        correlation = reception.correlation._replace(pulse_weights=None)  # an array, which keys may not have
+        wavelength_m = receiver.sound_speed_m_s / sonar.frequency_hz
+        correlation = receiver.correlation._replace(pulse_weights=None)  # an array, which keys may not have
         # in true metres, as the pose; bins and pulse are in those that the sonar shows
-        scale, pulse = 1.0 if ping.acoustics is None else ping.acoustics.shown_per_true(), reception.pulse
+        scale, pulse = 1.0 if ping.acoustics is None else ping.acoustics.shown_per_true(), receiver.pulse
         if pulse is not None:
             pulse = pulse._replace(sound_speed_m_s=pulse.sound_speed_m_s / scale)
         shape = FieldShape(correlation, len(ping.range_m), ping.bin_size_m / scale, wavelength_m, pulse)

@@ -12,7 +12,7 @@ from sonar_gl.noise.field import FieldNoise
 from sonar_gl.noise.gaussian import add_normal
 from sonar_gl.noise.hidden_labels import without_hidden_labels
 from sonar_gl.noise.random_streams import stream
-from sonar_gl.noise.reception import reception_of
+from sonar_gl.noise.reception import receiver_of
 from sonar_gl.noise.settings import Noise
 from sonar_gl.ping import NOISE_PARTS, Ping
 
@@ -52,9 +52,9 @@ def add_noise(
         out = FieldNoise(ping, noise, seed, ping_number, thread).noisy()
     else:
         out = np.array(ping.intensity, dtype=np.float32, order="C")
-    reception = reception_of(ping, noise)
-    if reception.ring_down is not None:
-        out += reception.ring_down
+    receiver = receiver_of(ping, noise)
+    if receiver.ring_down is not None:
+        out += receiver.ring_down
     if noise.gaussian:
         add_normal(stream(seed, ping_number, "gaussian"), noise.gaussian, out)
     if noise.median:
@@ -70,7 +70,7 @@ def add_noise(
     out.setflags(write=False)
     # as asdict, in a twentieth of its time
     record = {"noise": dict(vars(noise)), "seed": seed, "ping_number": ping_number}
-    labelled = without_hidden_labels(ping, reception.receiver_power)
+    labelled = without_hidden_labels(ping, receiver.receiver_power)
     return replace(labelled, intensity=out, **dict.fromkeys(NOISE_PARTS), meta={**ping.meta, **record})
 
 
@@ -80,6 +80,6 @@ def mean_intensity(ping: Ping, noise: Noise) -> np.ndarray:
     Speckle has the mean 1. Terms of single bins and interference are left out. Parameters and errors are those of
     `add_noise`.
     """
-    reception = reception_of(ping, noise)
-    added = (power for power in (reception.receiver_power, reception.ring_down) if power is not None)
+    receiver = receiver_of(ping, noise)
+    added = (power for power in (receiver.receiver_power, receiver.ring_down) if power is not None)
     return sum(added, start=np.asarray(ping.intensity, np.float64))

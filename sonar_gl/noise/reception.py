@@ -1,4 +1,4 @@
-"""What determines the fields that a sonar receives: correlation, range gain and noise of the receiver."""
+"""The receiver of a ping: what correlates the fields that it receives, its range gain and its noise."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def receiver_power(ping: Ping, noise: Noise) -> np.ndarray | None:
     >>> round(10 * math.log10(power[0, 0]), 3) == sonar.self_noise_db
     True
     """
-    return reception_of(ping, noise).receiver_power
+    return receiver_of(ping, noise).receiver_power
 
 
-def reception_of(ping: Ping, noise: Noise) -> Reception:
-    """Return the reception of a ping; pings of the same sonar, acoustics and noise share one."""
+def receiver_of(ping: Ping, noise: Noise) -> Receiver:
+    """Return the receiver of a ping; pings of the same sonar, acoustics and noise share one."""
     axes = (np.asarray(axis, np.float64).tobytes() for axis in (ping.azimuth_rad, ping.range_m))
-    return _reception(ping.sonar, ping.acoustics, noise, ping.bin_size_m, *axes)
+    return _receiver(ping.sonar, ping.acoustics, noise, ping.bin_size_m, *axes)
 
 
 def required(name: str, value, purpose: str):
@@ -65,8 +65,8 @@ def required(name: str, value, purpose: str):
     return value
 
 
-class Reception:
-    """What determines the fields that a sonar receives, whatever the ping.
+class Receiver:
+    """What determines the fields that a sonar receives in any ping of the same axes.
 
     Raises Error by a property that needs the sonar or the acoustics, if they are not known.
 
@@ -169,6 +169,6 @@ class Reception:
 
 
 @lru_cache(maxsize=8)
-def _reception(sonar, acoustics, noise, bin_size_m: float, azimuths: bytes, ranges: bytes) -> Reception:
-    """Return a reception; azimuths, ranges : the bytes of its axes."""
-    return Reception(sonar, acoustics, noise, bin_size_m, np.frombuffer(azimuths), np.frombuffer(ranges))
+def _receiver(sonar, acoustics, noise, bin_size_m: float, azimuths: bytes, ranges: bytes) -> Receiver:
+    """Return a receiver; azimuths, ranges : the bytes of its axes."""
+    return Receiver(sonar, acoustics, noise, bin_size_m, np.frombuffer(azimuths), np.frombuffer(ranges))
