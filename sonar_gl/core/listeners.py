@@ -26,11 +26,11 @@ class Listener(Closable):
     failure : exception that ended the listening, or None
     """
 
-    def __init__(self, call: Callable, waiting: int, on_close: Callable):
+    def __init__(self, call: Callable, name: str, waiting: int, on_close: Callable = lambda _: None):
         self.missed, self.failure = 0, None
         self._call, self._on_close = call, on_close
         self._items, self._changed, self._is_closed = deque(maxlen=waiting), Condition(), False
-        self._thread = Thread(target=self._serve, name="sonar_gl listener", daemon=True)
+        self._thread = Thread(target=self._serve, name=name, daemon=True)
         self._thread.start()
 
     @property

@@ -61,7 +61,7 @@ class PingThread:
         """Return a new listener, for which the thread pings until it is closed."""
         with self._changed:
             self.check_open()
-            listener = Listener(call, waiting, self._forget)
+            listener = Listener(call, "sonar_gl listener", waiting, self._forget)
             self._listeners.append(listener)
             self._changed.notify_all()
             return listener
