@@ -56,8 +56,8 @@ def simulator(bodies, sampling=SAMPLING, **kw):
     return sg.Simulator(sg.Scene(bodies), SONAR, sg.Acoustics.ideal(), sampling, **kw)
 
 
-def fresh(bodies, pose=POSE, **kw):
-    with simulator(bodies) as it:
+def fresh(bodies, pose=POSE, engine=None, **kw):
+    with simulator(bodies, engine=engine) as it:
         return it.ping(pose, labels=True, **kw)
 
 
@@ -100,6 +100,21 @@ def test_a_ping_without_a_body_is_that_of_such_a_scene(gone):
     assert before.body_echo[number] > 0
     assert without.body_echo[number] == 0
     check_same(after, before)
+
+
+@pytest.mark.parametrize("engine", ["cpu", "opengl"])
+def test_a_ping_without_a_rectangle_is_that_of_such_a_scene(engine):
+    """Which OpenGL cuts to what the sonar sees; so is the background of shadows, drawn without it."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    mesh = trimesh.Trimesh(1e4 * corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    sheet = sg.Body("sheet", mesh, sg.pose(0, 0, -2))
+    expected = fresh([plain(), smooth()], engine=engine)
+    with simulator([plain(), smooth(), sheet], engine=engine) as it:
+        without = it.ping(POSE, labels=True, bodies={"sheet": None})
+        shadowed = it.ping(POSE, labels=True, background=["plain"])
+        assert (it.ping(POSE, labels=True).body_id == 3).any()
+    check_same(without, expected, [1, 2])
+    assert not shadowed.shadow.any()  # nothing is before it
 
 
 def test_place_lasts_and_can_be_undone():

@@ -232,7 +232,8 @@ class OpenGLRenderer:
         bodies = [meshes.view_from(*view, self._specular) for view in zip(poses, states, planes, strict=True)]
         for number, sheet in self._buffers.uploaded.sheets.items():
             for one in bodies:
-                draw_near(sheet, one.matrices[number], self._reach_m, one.table[number])
+                if one.present[number]:  # an absent body has no matrix
+                    draw_near(sheet, one.matrices[number], self._reach_m, one.table[number])
         rows = bodies[0].table if len(bodies) == 1 else np.concatenate([one.table for one in bodies])
         targets = self._workspace.images(len(bodies), keep_last)
         listed = [np.empty((0, 5), np.uint32)]
