@@ -31,6 +31,7 @@ MAX_BINS = 65536  # also of beams
 # Least length of a bin over range_max_m. The sums find the bin of a range from 1/range: if its rounding were not far
 # below a bin, they would write beyond their arrays.
 SHORTEST_BIN = 1e-9
+ROUNDING = 1e-12  # of azimuths, relative: those of another sonar's beams may lie on the edges of its fan
 LEVEL = "give dB relative to the echo of a sphere about the sonar, at 1 m"  # of noise, in messages
 # what is likely wrong with a level of noise above 0 dB
 ABSOLUTE_LEVEL = (
@@ -249,7 +250,7 @@ class Sonar:
                 f"{location}: beam_azimuths_deg must rise (got {azimuths[k + 1]:g} after {azimuths[k]:g}; give "
                 "starboard first, positive to port)"
             )
-        if np.abs(azimuths).max() > self.azimuth_fov_deg / 2:
+        if np.abs(azimuths).max() > self.azimuth_fov_deg / 2 * (1 + ROUNDING):
             raise Error(
                 f"{location}: beam_azimuths_deg must lie within ±azimuth_fov_deg/2 = "
                 f"±{self.azimuth_fov_deg / 2:g} (got {azimuths[0]:g} to {azimuths[-1]:g})"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sonar_gl.core.errors import Error
 from sonar_gl.core.poses import pose as make_pose
 from sonar_gl.sonar.sonar import CHOICES, TAPERS, Sonar
 from sonar_gl.sonar.sonar_files import PRESETS, load_sonar, presets
@@ -179,6 +180,18 @@ def test_edges_of_what_the_beams_image(azimuths_deg, edges_deg):
 def test_azimuths_from_a_table():
     sonar = Sonar("s", **{**KEYS, "n_beams": 3}, beam_azimuths_deg=[-20, 1, 22.5])
     assert np.degrees(sonar.azimuth_rad) == pytest.approx([-20, 1, 22.5], abs=1e-13)
+
+
+@pytest.mark.parametrize("fov_deg", [60.0, 70.0, 90.0, 120.0, 128.0, 130.0])
+def test_azimuths_of_a_sonar_may_be_given_as_a_table(fov_deg):
+    """Those of sines lie on the edges of the fan but for rounding to radians and back."""
+    sonar = replace(load_sonar("oculus-m750d-lf"), azimuth_fov_deg=fov_deg)
+    azimuths_deg = np.degrees(sonar.azimuth_rad)
+    given = replace(sonar, beam_azimuths_deg=azimuths_deg)
+    np.testing.assert_allclose(given.azimuth_rad, sonar.azimuth_rad, rtol=0, atol=1e-15)
+    azimuths_deg[-1] += 1e-9
+    with pytest.raises(Error, match="within ±azimuth_fov_deg/2"):
+        replace(sonar, beam_azimuths_deg=azimuths_deg)
 
 
 def test_a_file_with_top_level_keys(tmp_path):
