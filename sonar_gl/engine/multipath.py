@@ -25,6 +25,7 @@ from sonar_gl.beamform.kernels.image_sources import (
     expect_imaged,
 )
 from sonar_gl.beamform.kernels.views import ViewIndex, view_index
+from sonar_gl.beamform.water_surface import water_surface
 from sonar_gl.core.poses import scales_of
 from sonar_gl.core.worker import SecondThread, run_halves
 from sonar_gl.engine.body_counts import count_bodies
@@ -112,7 +113,7 @@ class ImageSource:
     """A planar reflector that returns an echo in one ping.
 
     plane : (4,) normal and offset of it, in the sonar's frame
-    ceiling : (4,) likewise of the water's surface, normal up; all zeros if there is none
+    ceiling : (4,) likewise of the water's surface over the sonar, normal up; all zeros if there is none
     own_view, image_view : SectorSamples of each sector, of the sonar and of its image
     own_index, image_index : ViewIndex of both; that of the sonar has all samples of its direct view
     """
@@ -406,8 +407,10 @@ class ImageSources:
         """
         pose, state = ping.pose, ping.state
         squares = np.where(state.present, scales_of(state.poses) ** 2, 0.0)
-        squares = np.append(squares, 1.0)  # of no body
-        areas_m2 = [one.area_m2 * squares[-1 if one.body is None else one.body] for one in self._reflectors]
+        surface_m2 = 0.0 if water_surface(pose, self._scene.surface_z_m) is None else np.inf
+        areas_m2 = [
+            surface_m2 if one.body is None else one.area_m2 * squares[one.body] for one in self._reflectors
+        ]
         large = [n for n, area_m2 in enumerate(areas_m2) if area_m2 >= MIN_AREA_M2]
         if not large:
             return []
@@ -438,9 +441,9 @@ class ImageSources:
         return [_FoundImage(found[n], planes[n], image_pose(planes[n])) for n in sorted(kept)]
 
     def _ceiling(self, pose) -> np.ndarray:
-        """Return (4,) the water's surface in the sonar's frame, normal up; zeros if there is none."""
-        z = self._scene.surface_z_m
-        return np.zeros(4) if z is None else np.append(pose[2, :3], z - pose[2, 3])
+        """Return (4,) the water's surface over the sonar, in its frame, normal up; zeros if there is none."""
+        surface = water_surface(pose, self._scene.surface_z_m)
+        return np.zeros(4) if surface is None else np.append(surface.up, surface.height_m)
 
 
 def _are_alike(a, b) -> bool:

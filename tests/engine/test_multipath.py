@@ -355,6 +355,21 @@ def test_bodies_above_the_water_do_not_echo_by_way_of_the_floor(perfect, monkeyp
     assert above.sum() > 1.1 * below.sum()
 
 
+@pytest.mark.filterwarnings("ignore::sonar_gl.engine.run.AirWarning")
+def test_a_sonar_above_the_water_has_the_multipath_of_a_scene_without_a_surface(perfect):
+    """By way of the floor, and not of the surface: of what lies above it, as a half of the pile, too."""
+    perfect("floor")
+    pile = sg.Body("pile", trimesh.creation.cylinder(0.3, 6.0), sg.pose(6, 0, 0), 0.8)
+    bodies, pose = [slab("floor", sg.pose(0, 0, -3.5)), pile], sg.pose(0, 0, -1, 0.2)
+    without, below_the_floor, crossing = (
+        multipath_echo(sg.Scene(bodies, surface_z_m=z_m), pose, sampling=sg.Sampling(4, 100))
+        for z_m in (None, -4.0, -1.1)
+    )
+    assert without.sum() > 0.1
+    np.testing.assert_array_equal(below_the_floor, without)
+    np.testing.assert_array_equal(crossing, without)
+
+
 def test_a_body_before_the_reflector_removes_its_multipath(perfect):
     perfect("floor")
     shield = sg.Body("shield", trimesh.creation.box((0.05, 4, 0.9)), sg.pose(5.0, 0, 0.45), 0.0)
