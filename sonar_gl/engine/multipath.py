@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import compress, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -225,7 +225,9 @@ class ImageSources:
         """Find the planar reflectors of a scene, once."""
         if scene is not self._scene:
             self._reflectors = planar_reflectors(scene, self._wavenumber_rad_m, self._wave_height_m)
-            self._has_lobes = self._draws_lobes and any(body.specular > 0 for body in scene.bodies)
+            self._have_lobes = np.array(
+                [self._draws_lobes and body.specular > 0 for body in scene.bodies], bool
+            )
             self._reflectivity = GreatestReflectivity.of(scene.bodies)
             self._scene = scene
 
@@ -347,12 +349,19 @@ class ImageSources:
         self, own: Stage, thinning: Thinning, pings: Sequence[DirectView]
     ) -> list[Sequence[SectorSamples]]:
         """Return the sonar's own samples of pings: rows of their direct views, or others where these do not serve."""
-        must_draw = self._has_lobes or any(ping.view.bubbles is not None for ping in pings)
         # of fewer rows than all, the outermost that is left of a window might meet a surface
-        if must_draw or not thinning.is_drawn_alike:
-            poses, states = [ping.pose for ping in pings], [ping.state for ping in pings]
-            return [view.sectors for view in own.draw(poses, states, keep_last=True)]
-        return [[every_row(one, thinning.rows) for one in ping.view.sectors] for ping in pings]
+        must_draw = [not thinning.is_drawn_alike or self._has_more_than_diffuse_echo(ping) for ping in pings]
+        to_draw = list(compress(pings, must_draw))
+        poses, states = [ping.pose for ping in to_draw], [ping.state for ping in to_draw]
+        drawn = iter(own.draw(poses, states, keep_last=True) if to_draw else ())
+        return [
+            next(drawn).sectors if is_drawn else [every_row(one, thinning.rows) for one in ping.view.sectors]
+            for ping, is_drawn in zip(pings, must_draw, strict=True)
+        ]
+
+    def _has_more_than_diffuse_echo(self, ping: DirectView) -> bool:
+        """Return whether the direct view may have lobes, or bubbles, which multipath leaves out."""
+        return ping.view.bubbles is not None or bool(self._have_lobes[ping.state.present].any())
 
     def _count_bodies(self, views: Sequence[tuple[Stage, ViewSamples, np.ndarray]]) -> list[BodySamples]:
         """Count the samples on each body, by every so-manieth row where there are many.
@@ -429,7 +438,7 @@ class ImageSources:
             stage.beamformer.elevation_table,
             reflected,
         )
-        brightest = self._reflectivity.in_state(state).max(initial=0.0)
+        brightest = self._reflectivity.in_state(state)[state.present].max(initial=0.0)
         counts = MULTIPATH_GAIN * brightest * reflected > self._tolerance * echo
         counts &= np.abs(distances_m) > BIAS_M
         kept: list[int] = []

@@ -117,6 +117,39 @@ def test_a_ping_without_a_rectangle_is_that_of_such_a_scene(engine):
     assert not shadowed.shadow.any()  # nothing is before it
 
 
+@pytest.mark.parametrize(("mu", "specular"), [(0.02, 0.0), (0.5, 0.3)], ids=["bright", "with a lobe"])
+def test_multipath_without_a_body_is_that_of_such_a_scene(mu, specular):
+    """Which reflectors count depends on the brightest body; lobes are left out, and so all samples are drawn again."""
+    floor = trimesh.creation.box((40, 40, 1))
+    wall = sg.Body("wall", trimesh.creation.box((8, 0.2, 6)), sg.pose(7, 3, 0, yaw=0.1), 0.05)
+    rest = [
+        sg.Body("floor", floor, sg.pose(0, 0, -2), mu),
+        wall,
+        sg.Body("ball", BALL, sg.pose(6, 0, 0.3), mu),
+    ]
+    more = sg.Body("more", BALL, sg.pose(8, -1, 0.3), 1 - specular, specular=specular)
+    acoustics, poses, bodies = (
+        sg.Acoustics.physical(multipath="incoherent"),
+        [np.eye(4)] * 2,
+        [{"more": None}, None],
+    )
+
+    def of(bodies):
+        return sg.Simulator(sg.Scene(bodies), SONAR, acoustics, tolerance=0.05)
+
+    with of(rest) as it:
+        expected = it.ping(np.eye(4), labels=True)
+    with of([*rest, more]) as it:
+        without = it.ping(np.eye(4), labels=True, bodies={"more": None})
+        whole = it.ping(np.eye(4), labels=True)
+    with of([*rest, more]) as it:
+        sequence = list(it.pings(poses, labels=True, bodies=bodies))
+    check_same(without, expected, [1, 2, 3])
+    assert without.error_estimate == expected.error_estimate
+    check_same(sequence[0], without)
+    check_same(sequence[1], whole)
+
+
 def test_place_lasts_and_can_be_undone():
     there = [make(THERE.get(make.__name__)) for make in ALL]
     expected, shifted = fresh(there), sg.pose(7, 0, 0, yaw=1)
