@@ -7,7 +7,7 @@ from itertools import combinations, count, pairwise
 import numpy as np
 import pytest
 
-from sonar_gl import Water, pose
+from sonar_gl import Ping, Water, pose
 from sonar_gl.acoustics.beam_pattern import aperture_weights
 from sonar_gl.acoustics.pulse import PulseResponse, coarse_reach
 from sonar_gl.core.errors import Error
@@ -15,9 +15,11 @@ from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.place_locked_speckle import FieldShape, add_products, place_locked_field
 from sonar_gl.noise.random_streams import stream
+from sonar_gl.noise.reception import reception_of
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import TAPS, FieldCorrelation, aperture_width
 from sonar_gl.noise.wave_cache import CHUNK, RECENT_USES, WaveCache
+from sonar_gl.sonar.sonar_files import presets
 from tests.support.even_ping import (
     BEAM_WIDTH_RAD,
     BIN_M,
@@ -30,6 +32,7 @@ from tests.support.even_ping import (
     even_ping,
     hamming_correlation,
 )
+from tests.support.settings import described
 from tests.support.threads import counting_thread
 
 APERTURE_M = UNIFORM_WIDTH * SOUND_SPEED_M_S / FREQUENCY_HZ / BEAM_WIDTH_RAD  # length of the array
@@ -337,6 +340,57 @@ def test_waves_have_as_many_bins_as_coarse_weights_reach_from_the_furthest_place
     place_locked_field(shape, pose(0.29, 0.29), waves)
     reach = coarse_reach(bin_m, *pulse)
     assert min(n_wave_bins) >= n_bins + 2 * (0.29 * np.sqrt(2) / bin_m + reach - 1)
+
+
+def waves_in_margins(rng, margin: int):
+    """Return a function as `random_waves` does: each wave is the same in all bins, and chunks lie between NaN."""
+
+    def waves_of(x, y, chunks, n_bins):
+        out = {}
+        for chunk in chunks:
+            memory = np.full(2 * margin + CHUNK * 2 * n_bins, np.nan, np.float32)
+            out[chunk] = memory[margin:-margin].reshape(CHUNK, 2, n_bins)
+            out[chunk][:] = rng.normal(size=(CHUNK, 2, 1))
+        return out
+
+    return waves_of
+
+
+def any_shape(rng, sonar) -> FieldShape:
+    """Return the shape of the field of a sonar, with bins far shorter and longer than its pulse."""
+    n_bins = int(rng.choice([1, 2, 3, 16, 61]))
+    range_max_m = sonar.range_min_m + n_bins * 10 ** rng.uniform(-3, 0.3)
+    drawn = {"beam_pattern": rng.choice(["gaussian", "line_array"]).item(), "pulse": bool(rng.integers(2))}
+    sonar, acoustics = described(sonar, **drawn, n_bins=n_bins, range_max_m=range_max_m)
+    ping = Ping(
+        np.zeros((sonar.n_beams, n_bins)), sonar.azimuth_rad, sonar.range_m, sonar=sonar, acoustics=acoustics
+    )
+    reception = reception_of(ping, PLACE_LOCKED)
+    beams = reception.correlation._replace(pulse_weights=None)
+    wavelength_m = reception.sound_speed_m_s / sonar.frequency_hz
+    return FieldShape(beams, n_bins, ping.bin_size_m, wavelength_m, reception.pulse)
+
+
+@pytest.mark.parametrize("name", presets())
+def test_sums_read_all_bins_of_waves_that_count_and_no_memory_beside_them(name):
+    """Where no bin is left out, waves that are even in range make even fields; memory beside them would make NaN.
+
+    The six waves of an aperture are next to each other on the circle. So the first and the last wave of some chunk are
+    among them, beside which a read that is off by some bins gets NaN. Places of the sonar are those furthest from the
+    middle of their cell, and others.
+    """
+    rng = np.random.default_rng(len(name))
+    for _ in range(8):
+        shape = any_shape(rng, presets()[name])
+        end = rng.choice([-0.2999, 0.2999, 0.0, rng.uniform(-0.3, 0.3)], 2) + 0.5 * rng.integers(-9, 9, 2)
+        where = pose(*end, 0, *rng.uniform(-np.pi, np.pi, 3))
+        nodes, first, _, _ = place_locked_field(shape, where, waves_in_margins(rng, 5000))
+        assert first.min() >= 0
+        assert first.max() + TAPS <= len(nodes)  # nodes that are interpolated
+        own = nodes[: first.max() + TAPS]
+        assert np.isfinite(own).all()
+        # fields of bins are sums of the same products; vectors and what they leave over may round otherwise
+        np.testing.assert_allclose(own, own[..., :1] + 0 * own, rtol=0, atol=1e-6 * np.abs(own).max())
 
 
 @pytest.mark.parametrize(
