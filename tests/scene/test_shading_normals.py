@@ -8,7 +8,7 @@ import trimesh
 
 import sonar_gl as sg
 from sonar_gl.scene.pyrender_scene import import_pyrender
-from sonar_gl.scene.shading_normals import turned_share
+from sonar_gl.scene.shading_normals import rounded_text, turned_share
 
 
 @pytest.mark.parametrize(
@@ -30,6 +30,42 @@ def test_normals_of_edges_lie_off_the_faces(mesh, share):
     assert turned_share(sg.Body("part", turned, normals=mesh.vertex_normals)) == share
     assert turned_share(sg.Body("part", mesh)) == 0.0
     assert turned_share(sg.Body("part", mesh, normals=0.5 * mesh.vertex_normals)) == share  # of any length
+
+
+def two_triangles(name: str, share: float, normals) -> sg.Body:
+    """Return a body of two level triangles; normals : (3, 3) of the first, which has this share of the area."""
+    second = [0, 0, 1], [1 - share, 0, 1], [0, 1, 1]
+    mesh = trimesh.Trimesh(
+        [[0, 0, 0], [share, 0, 0], [0, 1, 0], *second], [[0, 1, 2], [3, 4, 5]], process=False
+    )
+    return sg.Body(name, mesh, normals=np.vstack([normals, np.tile([0.0, 0, 1], (3, 1))]))
+
+
+UP, NONE = [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
+
+
+def tilted(degrees: float) -> list[float]:
+    """Return a normal so many degrees off the vertical."""
+    return [np.sin(np.radians(degrees)), 0.0, np.cos(np.radians(degrees))]
+
+
+@pytest.mark.parametrize(
+    ("normals", "is_turned"),
+    [
+        ([UP, UP, tilted(41)], True),
+        ([UP, tilted(39), tilted(-39)], False),
+        ([NONE, tilted(41), tilted(41)], False),  # a face of which one corner has no normal is shaded as flat
+        ([UP, UP, tilted(180 - 41)], True),
+    ],
+)
+def test_a_face_counts_by_its_area_where_one_of_its_normals_lies_off(normals, is_turned):
+    assert turned_share(two_triangles("part", 0.2, normals)) == pytest.approx(0.2 * is_turned)
+
+
+def test_bodies_are_named_most_of_whose_area_has_such_normals():
+    bodies = [two_triangles(f"part {share:g}", share, [UP, UP, tilted(60)]) for share in (0.49, 0.51)]
+    assert rounded_text(bodies[:1]) == ""
+    assert rounded_text(bodies).startswith("shading normals of part 0.51 lie more than 40 degrees off")
 
 
 def test_a_scene_of_rounded_boxes_is_warned_of(tmp_path):
