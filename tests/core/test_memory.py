@@ -164,6 +164,18 @@ def test_memory_is_made_ready_in_another_array_where_there_is_no_room(array):
     assert (taken == 3.0).all()
 
 
+def test_memory_of_still_more_rows_is_made_ready_in_a_third_array():
+    """Where another one, which was not needed yet, has no room for them."""
+    array = ReusedArray(np.uint8)
+    array.take(MANY)
+    array.prepare(len(array) + 1, 1.0)
+    count = 8 * len(array)
+    return_free_memory()
+    assert page_faults(lambda: array.prepare(count, 1.0)) > 2
+    taken = array.take(count)
+    assert page_faults(lambda: taken.fill(4)) <= 2
+
+
 def test_arrays_get_their_memory_one_after_the_other(array):
     """Of a share of each, a large page would be the least."""
     return_free_memory()
