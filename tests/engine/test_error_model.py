@@ -521,17 +521,11 @@ GLINTS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("samples", "strands", "before", "unevenness", "with_normals", "error"), GLINTS.values(), ids=list(GLINTS)
-)
-def test_a_smooth_body_is_judged_by_its_glint(samples, strands, before, unevenness, with_normals, error):
-    """By what its samples show, if enough of them may lie in it; else by these, and twice the difference.
-
-    Where its lobe is a mean about each sample, the smaller of both counts.
-    """
+def plan_of_mirror(samples, strands, before, unevenness, with_normals, reflectivity=0.1):
+    """Return the Plan where a smooth ball beside a body that is known well was met as `GLINTS` says."""
     mesh = trimesh.creation.icosphere(4, 0.5)
     normals = mesh.vertex_normals if with_normals else None
-    mirror = sg.Body("mirror", mesh, sg.pose(5, 1), 0.1, normals, 0.5, 0.1)
+    mirror = sg.Body("mirror", mesh, sg.pose(5, 1), reflectivity, normals, 0.5, 0.1)
     acoustics = sg.Acoustics("ideal", specular=True)
     with sg.Simulator(sg.Scene([NEAR, mirror]), SONAR, acoustics, tolerance=0.02) as simulator:
         run = simulator.run
@@ -545,9 +539,28 @@ def test_a_smooth_body_is_judged_by_its_glint(samples, strands, before, unevenne
             )
             other = view._replace(counts=met._replace(echo=echo * (1 - (1 - before) * of_mirror)))
             coarse = model.coarser_stage(view.stage)
-            plan = model.judge(setup, 8, view._replace(counts=met), other._replace(stage=coarse)).plan
+            return model.judge(setup, 8, view._replace(counts=met), other._replace(stage=coarse)).plan
+
+
+@pytest.mark.parametrize(
+    ("samples", "strands", "before", "unevenness", "with_normals", "error"), GLINTS.values(), ids=list(GLINTS)
+)
+def test_a_smooth_body_is_judged_by_its_glint(samples, strands, before, unevenness, with_normals, error):
+    """By what its samples show, if enough of them may lie in it; else by these, and twice the difference.
+
+    Where its lobe is a mean about each sample, the smaller of both counts.
+    """
+    plan = plan_of_mirror(samples, strands, before, unevenness, with_normals)
     assert plan.worst_body == 2
     assert plan.worst_body_estimate == pytest.approx(error, rel=0.01)
+
+
+@pytest.mark.parametrize("with_normals", [False, True])
+def test_a_smooth_body_with_a_value_a_face_is_judged_as_others_of_uneven_faces_are(with_normals):
+    """Of faces that return unlike shares the unevenness counts for more, whether they are smooth or not."""
+    of_faces = np.linspace(0.05, 0.15, 5120)
+    plan = plan_of_mirror(900, 0.0, 1.0, 0.2, with_normals, of_faces)
+    assert (plan.worst_body, plan.worst_body_estimate) == (2, pytest.approx(1.5 * 0.2, rel=0.01))
 
 
 @pytest.mark.parametrize(
