@@ -322,15 +322,20 @@ class TestMoving:
             assert both != without and abs(both - without) < 0.1 * both
             yield simulator
 
-    def test_bodies_that_come_between_both_pings_of_a_check_are_not_taken_for_checked(self, with_buoy):
+    def test_bodies_that_come_between_both_pings_of_a_check_are_not_taken_for_checked(
+        self, with_buoy, monkeypatch
+    ):
+        """Where the check finds that the same samples do, of the ping before."""
         simulator, sampler, gone = with_buoy, with_buoy.run.sampler, {"buoy": None}
+        model, concluded = sampler.search.model, sampler.search.model.concluded
+        monkeypatch.setattr(model, "concluded", lambda begun: concluded(begun)._replace(steps=0))
         sampler.history = sampler.history._replace(costs=(1e12,) * 20)
         sampler.choice = replace(sampler.choice, is_due=True)
         assert simulator.ping(np.eye(4), bodies=gone).error_estimate <= sampler.tolerance
         assert sampler.choice.begun is not None
         ping = simulator.ping(np.eye(4))
-        assert sampler.choice.begun is None and sampler.choice.is_due
-        assert ping.error_estimate > sampler.tolerance
+        assert sampler.choice.begun is None and sampler.choice.next_level is None
+        assert sampler.choice.is_due and ping.error_estimate > sampler.tolerance
 
     def test_bodies_that_came_are_unverified_while_a_check_costs_too_much(self, with_buoy):
         sampler = with_buoy.run.sampler
