@@ -316,6 +316,8 @@ class ErrorModel:
     ) -> np.ndarray:
         """Return the errors of bodies by their glints, which return most of the echo of a smooth one.
 
+        `_worst_body` takes the larger of these and of the errors of any body, which count the difference of lattices.
+
         Where so few samples may lie in a glint that it may be missed, as if these were all; the difference, which may
         be small by chance, counts more. Where it cannot be missed, the echo errs inside the outline, too, as far as it
         differs from sample to sample. Where a lobe is a mean about each sample, the smaller of both is enough.
@@ -328,7 +330,7 @@ class ErrorModel:
         by_glint = np.maximum(by_glint, np.minimum(SMOOTH_FACTOR * apart, 1.0))
         by_all = body_error(np.maximum(found.samples, 1.0), found.strands)
         of_uneven = np.where(self._extents.are_means, MEAN_FACTOR, 1.0) * uneven
-        by_all = np.maximum(np.hypot(by_all, np.minimum(of_uneven, 1.0)), np.minimum(apart, 1.0))
+        by_all = np.hypot(by_all, np.minimum(of_uneven, 1.0))
         by_all = np.where(self._extents.are_means, np.minimum(by_glint, by_all), by_all)
         return np.where(in_glint < GLINT_SAMPLES, by_glint, by_all)
 

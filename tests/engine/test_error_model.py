@@ -511,6 +511,8 @@ GLINTS = {
     "by the difference": (900, 0.0, 0.7, 0.2, False, APART),
     "by uneven samples": (900, 0.0, 0.9, 0.2, False, math.hypot(BY_NUMBER, 0.2)),
     "at most all": (900, 0.0, 1.0, 2.0, False, math.hypot(BY_NUMBER, 1.0)),
+    "at most all of the difference": (900, 0.0, 0.1, 0.0, False, 1.0),
+    "at most all of the difference of few": (199, 0.0, 0.1, 0.0, False, 1.0),
     "by few in the glint": (199, 0.0, 1.0, 0.2, False, by_number(0.16 * 199)),
     "by strands in the glint": (199, 100.0, 1.0, 0.2, False, math.sqrt(16 / 31.84**0.5) * by_number(31.84)),
     "by the difference of few in the glint": (199, 0.0, 0.7, 0.2, False, 2 * APART),
