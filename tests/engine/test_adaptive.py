@@ -55,11 +55,14 @@ def received_of(setup, total):
     return SimpleNamespace(drawn=SimpleNamespace(setup=setup), direct=SimpleNamespace(total=total))
 
 
+MURKY = replace(IDEAL, volume_reverberation=True, water=sg.Water(volume_backscatter_db=0.0))
+
+
 class TestMoving:
     @pytest.fixture
-    def simulator(self):
-        """A simulator that has made a ping."""
-        with sg.Simulator(ball_and_floor(), SONAR, IDEAL) as simulator:
+    def simulator(self, request):
+        """A simulator that has made a ping, with other acoustics than IDEAL if they are its parameter."""
+        with sg.Simulator(ball_and_floor(), SONAR, getattr(request, "param", IDEAL)) as simulator:
             simulator.ping(np.eye(4))
             yield simulator
 
@@ -279,9 +282,17 @@ class TestMoving:
         assert [ping.meta["sampling"] for ping in pings] == list(map(vars, levels))
         assert pings[0].error_estimate == pytest.approx(2 ** (1.3 * (16 - level) / 4) * sampler.tolerance)
 
-    @pytest.mark.parametrize("between", ["nothing", "a ping alone"])
+    @pytest.mark.parametrize(
+        ("simulator", "between"),
+        [(IDEAL, "nothing"), (IDEAL, "a ping alone"), (MURKY, "nothing")],
+        indirect=["simulator"],
+        ids=["clear", "a ping alone between", "murky"],
+    )
     def test_two_pings_of_a_loop_share_a_check(self, simulator, between, monkeypatch):
-        """The first one draws the view to compare with, the second one sums it: as one ping alone would find."""
+        """The first one draws the view to compare with, the second one sums it: as one ping alone would find.
+
+        The first one adds the echo of the water to that of the bodies, after it has begun the check.
+        """
         run, sampler = simulator.run, simulator.run.sampler
         model, level = sampler.search.model, sampler.choice.level
         pose = sg.pose(0.001)
