@@ -266,9 +266,18 @@ class TestMoving:
         rows = [simulator.ping(sg.pose(0.001 * k)).meta["sampling"]["rows"] for k in range(4)]
         assert rows[0] == fine.rows > rows[-1]
 
-    def test_pings_after_one_that_cost_much_have_fewer_samples(self, simulator):
-        """Though it was not too much itself. Two of them make their stages, and the estimate is that of fewer."""
+    @pytest.mark.parametrize("is_begun", [False, True])
+    def test_pings_after_one_that_cost_much_have_fewer_samples(self, simulator, is_begun):
+        """Though it was not too much itself. Two of them make their stages, and the estimate is that of fewer.
+
+        A check that has begun is given up: of the samples before it would ask for others.
+        """
         sampler = simulator.run.sampler
+        if is_begun:
+            sampler.choice = replace(sampler.choice, is_due=True)
+            sampler.history = sampler.history._replace(costs=(1e12,) * 20)
+            simulator.ping(np.eye(4))
+        assert (sampler.choice.begun is not None) == is_begun
         model, coverage = sampler.search.model, sampler.choice.coverage
         with simulator.run.drawing():
             costs = [cost_of(model.stage_at(n).fan.n_samples, coverage) for n in range(17)]
