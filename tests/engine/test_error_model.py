@@ -511,6 +511,8 @@ GLINTS = {
     "by the difference": (900, 0.0, 0.7, 0.2, False, APART),
     "by uneven samples": (900, 0.0, 0.9, 0.2, False, math.hypot(BY_NUMBER, 0.2)),
     "at most all": (900, 0.0, 1.0, 2.0, False, math.hypot(BY_NUMBER, 1.0)),
+    "by the difference of many, few of them in the glint": (2000, 0.0, 0.7, 0.0, False, APART),
+    "of so many in the glint the difference tells nothing": (7000, 0.0, 0.7, 0.0, False, by_number(7000)),
     "at most all of the difference": (900, 0.0, 0.1, 0.0, False, 1.0),
     "at most all of the difference of few": (199, 0.0, 0.1, 0.0, False, 1.0),
     "by few in the glint": (199, 0.0, 1.0, 0.2, False, by_number(0.16 * 199)),
