@@ -17,6 +17,7 @@ from sonar_gl.engine.body_extents import (
     greatest_gain,
     greatest_lobe,
     greatest_pattern,
+    sphere_about,
 )
 from sonar_gl.engine.reception import Reception
 from sonar_gl.scene.state import SceneState
@@ -56,6 +57,12 @@ def test_a_body_counts_as_soon_as_its_sphere_reaches_into_the_fan(side):
     ):
         assert angle(**inside) > 0 and angle(**beyond) == 0
     assert angle() >= 2 * math.pi * (1 - math.cos(math.asin(0.1)))  # at least what the ball itself fills
+
+
+def test_a_sphere_about_points_reaches_to_the_furthest_from_the_middle_of_their_box():
+    sphere = sphere_about(np.array([[0.0, 0.0, 0.0], [4.0, 1.0, 0.0], [1.0, 2.0, 8.0]]))
+    np.testing.assert_array_equal(sphere.centre, [2.0, 1.0, 4.0])
+    assert sphere.radius_m == pytest.approx(math.sqrt(21))  # from the first; 2² + 4² and 1 + 1 + 4² are less
 
 
 def test_vertices_without_a_face_do_not_extend_a_body():
