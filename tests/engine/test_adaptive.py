@@ -266,11 +266,12 @@ class TestMoving:
         rows = [simulator.ping(sg.pose(0.001 * k)).meta["sampling"]["rows"] for k in range(4)]
         assert rows[0] == fine.rows > rows[-1]
 
-    @pytest.mark.parametrize("is_begun", [False, True])
-    def test_pings_after_one_that_cost_much_have_fewer_samples(self, simulator, is_begun):
+    @pytest.mark.parametrize(("is_begun", "fills_again"), [(False, False), (True, False), (False, True)])
+    def test_pings_after_one_that_cost_much_have_fewer_samples(self, simulator, is_begun, fills_again):
         """Though it was not too much itself. Two of them make their stages, and the estimate is that of fewer.
 
-        A check that has begun is given up: of the samples before it would ask for others.
+        A check that has begun is given up: of the samples before it would ask for others. Stages that are being made
+        are not begun anew where the next ping costs more than was expected, too.
         """
         sampler = simulator.run.sampler
         if is_begun:
@@ -286,7 +287,12 @@ class TestMoving:
         assert level < 16
         sampler.choice = replace(sampler.choice, level=16, coverage=times(0, coverage))
         sampler.history = sampler.history._replace(costs=(usual,) * 20)
-        pings = [simulator.ping(sg.pose(0.001 * k)) for k in range(4)]
+        pings = []
+        for k in range(4):
+            if k == 1 and fills_again:
+                assert (sampler.choice.next_level, sampler.choice.n_made) == (level, 1)
+                sampler.choice = replace(sampler.choice, coverage=times(0, coverage))
+            pings.append(simulator.ping(sg.pose(0.001 * k)))
         levels = [model.sampling_at(n) for n in (16, 16, level, level)]
         assert [ping.meta["sampling"] for ping in pings] == list(map(vars, levels))
         assert pings[0].error_estimate == pytest.approx(2 ** (1.3 * (16 - level) / 4) * sampler.tolerance)
