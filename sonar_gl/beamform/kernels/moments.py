@@ -10,10 +10,14 @@ import math
 import numpy as np
 from numba import uint64
 
-from sonar_gl.beamform.kernels.spreading import LEAST_WIDTH, energy_below, slanted_density
+from sonar_gl.beamform.kernels.spreading import FEW_BINS, LEAST_WIDTH, energy_below, slanted_density
 from sonar_gl.beamform.kernels.work_table import (
     ALONG,
     ALONG_U,
+    BIN_ECHO,
+    BIN_ELEVATION,
+    BIN_INCIDENCE,
+    BIN_RANGE,
     BORDER,
     ELEVATION,
     ELEVATION_RISE,
@@ -195,17 +199,56 @@ def _spread_moments_trapezoid(work, m, cells, slot, sums, row, bins_s, middle_m,
     last = uint64(min(int((1.0 / low - first_m) * per_metre), K - 1))
     nearer, range_nearer = energy_below(high, s, wide, thin), _below_range(high, s, wide, thin)
     rise = work[SLANT, m] / wide
-    for k in range(first, uint64(last + 1)):
-        edge = bins_s[uint64(k + 1)] if k < last else low
+    if last < first + uint64(FEW_BINS):
+        for k in range(first, uint64(last + 1)):
+            edge = bins_s[uint64(k + 1)] if k < last else low
+            further, range_further = energy_below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
+            parts = nearer - further, range_nearer - range_further
+            echo, at, range_ = _moments_between(high, edge, *parts, scale, rise, s, wide, middle_m[k])
+            sums[row, k] += np.float32(echo)
+            _add_moments(cells, slot, k, np.float32(echo), *_angles_at(work, m, at), np.float32(range_))
+            nearer, range_nearer, high = further, range_further, edge
+        return first, last
+    # in whole groups, as there; bins past the last get nothing
+    n = uint64(whole_groups(0, np.int64(last - first) + 1))
+    n = n if first + n <= uint64(K) else last - first + uint64(1)
+    echoes, elevations = work[BIN_ECHO], work[BIN_ELEVATION]
+    incidences, ranges = work[BIN_INCIDENCE], work[BIN_RANGE]
+    # read here, since the compiler takes any entry of a row for one that the loop writes
+    elevation, elevation_rise = work[ELEVATION, m], work[ELEVATION_RISE, m]
+    incidence, incidence_rise = work[INCIDENCE, m], work[INCIDENCE_RISE, m]
+    for k in range(n):
+        edge = max(bins_s[first + k + uint64(1)], low)
         further, range_further = energy_below(edge, s, wide, thin), _below_range(edge, s, wide, thin)
-        slanted, even_echo = slanted_density(rise, s, high, edge, wide), scale * max(nearer - further, 0.0)
-        echo = even_echo * slanted
-        sums[row, k] += np.float32(echo)
-        elevation, incidence = _angles_at(work, m, min(max((high + edge) / 2, s - wide), s + wide))
-        range_ = np.float32((scale * (range_nearer - range_further) - even_echo * middle_m[k]) * slanted)
-        _add_moments(cells, slot, k, np.float32(echo), elevation, incidence, range_)
+        parts = nearer - further, range_nearer - range_further
+        echo, at, range_ = _moments_between(high, edge, *parts, scale, rise, s, wide, middle_m[first + k])
+        echoes[k], ranges[k] = echo, range_
+        elevations[k] = elevation + elevation_rise * (at - s)
+        incidences[k] = incidence + incidence_rise * (at - s)
         nearer, range_nearer, high = further, range_further, edge
+    # one row at a time: any two of them might overlap, and the compiler would do one bin after the other
+    for k in range(n):
+        sums[row, first + k] += np.float32(echoes[k])
+    for k in range(n):
+        cells[slot, CELL_ECHO, first + k] += np.float32(echoes[k])
+    for k in range(n):
+        cells[slot, CELL_ELEVATION, first + k] += np.float32(echoes[k]) * np.float32(elevations[k])
+    for k in range(n):
+        cells[slot, CELL_INCIDENCE, first + k] += np.float32(echoes[k]) * np.float32(incidences[k])
+    for k in range(n):
+        cells[slot, CELL_RANGE, first + k] += np.float32(ranges[k])
     return first, last
+
+
+@uncounted
+def _moments_between(nearer, further, energy, range_energy, scale, rise, s, wide, middle_m):
+    """Return the echo of a trapezoid between two places in s, where it has its angles, and its moment of range.
+
+    energy, range_energy : what lies there by `energy_below` and `_below_range`, to be multiplied by `scale`
+    """
+    slanted, even_echo = slanted_density(rise, s, nearer, further, wide), scale * max(energy, 0.0)
+    at = min(max((nearer + further) / 2, s - wide), s + wide)
+    return even_echo * slanted, at, (scale * range_energy - even_echo * middle_m) * slanted
 
 
 @inlined

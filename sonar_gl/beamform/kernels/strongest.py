@@ -146,10 +146,11 @@ def _find_in_tiles(runs, tiles, pasts, part, columns, panel, ping, room, stronge
                 else:
                     _compare(np.int32(body), room)
                 is_first = False
-            if is_first:
-                room.best[:], room.total[:], room.body_id[:] = 0.0, 0.0, 0
             for b in range(TILE_BEAMS * t, min(TILE_BEAMS * (t + 1), strongest.share.shape[0])):
-                _write_strongest(room, b - TILE_BEAMS * t, ping, b, k0, strongest)
+                if is_first:
+                    _write_nothing(b, k0, strongest)
+                else:
+                    _write_strongest(room, b - TILE_BEAMS * t, ping, b, k0, strongest)
 
 
 @inlined
@@ -286,12 +287,16 @@ def _compare(body, room):
             n_stronger += is_stronger
         if n_stronger == 0:
             continue
-        for k in range(uint64(TILE_BINS)):
-            body_id[bins + k] = body if stronger[k] else body_id[bins + k]
+        for k in range(
+            uint64(TILE_BINS)
+        ):  # both are read before the choice: the compiler vectorises no other one
+            before = body_id[bins + k]
+            body_id[bins + k] = body if stronger[k] else before
         for moment in range(MOMENTS):
             mine = at + uint64(moment * TILE_BINS)
             for k in range(uint64(TILE_BINS)):
-                best[mine + k] = rows[mine + k] if stronger[k] else best[mine + k]
+                one, other = rows[mine + k], best[mine + k]
+                best[mine + k] = one if stronger[k] else other
 
 
 @inlined
@@ -321,9 +326,27 @@ def _write_strongest(room, r, ping, b, k0, strongest):
         strongest.body_id[b, k0 + k] = body_id[bins + k] if best[at + k] > FAINTEST else np.int32(0)
     for k in range(uint64(TILE_BINS)):
         best[at + k] = whole / best[at + k] if best[at + k] > FAINTEST else np.float32(np.nan)
-    for moment in range(uint64(MOMENTS - 1)):
+    for moment in range(uint64(MOMENTS - 2)):
         mine = at + (moment + uint64(1)) * uint64(TILE_BINS)
         for k in range(uint64(n)):
             means[moment, b, k0 + k] = best[mine + k] * best[at + k]
+    # the range in fast memory first: to add to what was just written takes longer than all the rest
+    mine = at + uint64((MOMENTS - 1) * TILE_BINS)
+    for k in range(uint64(TILE_BINS)):
+        best[mine + k] *= best[at + k]
     for k in range(uint64(n)):
-        means[MOMENTS - 2, b, k0 + k] += middle_m[k0 + k]
+        means[MOMENTS - 2, b, k0 + k] = best[mine + k] + middle_m[k0 + k]
+
+
+@inlined
+def _write_nothing(b, k0, strongest):
+    """Write that no body has an echo in a block of a beam's bins."""
+    share, means, body_id, b = strongest.share, strongest.means, strongest.body_id, uint64(b)
+    first, past = uint64(k0), uint64(min(k0 + TILE_BINS, share.shape[1]))
+    for k in range(first, past):
+        share[b, k] = 0.0
+    for k in range(first, past):
+        body_id[b, k] = 0
+    for moment in range(uint64(MOMENTS - 1)):
+        for k in range(first, past):
+            means[moment, b, k] = np.nan

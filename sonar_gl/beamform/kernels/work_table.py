@@ -34,6 +34,9 @@ ENERGY, S, A, B, SLANT, NEAR, FAR, HALF_HEIGHT, NEAR_BIN, FAR_BIN = range(15, 25
 PIECE, ECHO_BELOW, EDGE, REPEATED, NARROW, FLAT = ENERGY, S, A, B, SLANT, NEAR
 # Labels, by `find_angles`: elevation and incidence in the middle, radians, and how they change with s.
 ELEVATION, INCIDENCE, ELEVATION_RISE, INCIDENCE_RISE = range(25, 29)
+# Of a footprint that labels spread, one entry per bin: echo, its elevation and incidence, and echo times range less
+# `middle_m`. Labels have no image sources, whose rows these are.
+BIN_ECHO, BIN_ELEVATION, BIN_INCIDENCE, BIN_RANGE = range(29, 33)
 # Image sources: position of each sample for the other of S and S', and whether that is before the surface; a direction
 # to look into, zeros for none, and what is seen there, as `find_surfaces` returns it; reflected intensity; the bistatic
 # echo.
