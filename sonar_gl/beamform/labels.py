@@ -347,6 +347,6 @@ class Labeller:
             incidence_rad=incidence_rad,
             true_range_m=true_range_m,
             share=strongest.share,
-            body_echo=body_echo.sum(axis=0),
+            body_echo=body_echo[0] + body_echo[1],
             shadow=shadow,
         )

@@ -368,7 +368,7 @@ def shown_labels(
     found = without_faint(labels, intensity, least)
     if setup.pulse is not None:  # the filter raises even echo by `level`
         found = without_faint(found, received.direct.intensity, least / level)
-    return vars(replace(found, body_echo=found.body_echo * level)), label_level_db
+    return {**vars(found), "body_echo": found.body_echo * level}, label_level_db
 
 
 def ping_of(

@@ -35,6 +35,7 @@ BLACK = 1 / 32
 # bins that tell which ones a percentile needs; alone they would miss it by 0.5 dB where bright bodies fill one bin in a
 # hundred, and frames of a film would flicker
 PERCENTILE_BINS = 1 << 14
+LEAST_FLOAT32 = float(np.finfo(np.float32).tiny)
 SURE_DEVIATIONS = 4.0  # standard deviations of the rank of a bin in such a sample
 
 
@@ -201,9 +202,9 @@ class Counts:
         >>> round(10 * math.log10(least), 3)  # 1/32 of 64 dB above the window's lower end
         -62.0
         """
-        least = float(self.settle(intensity).intensity_of(BLACK * self.full_scale))
+        least = float(np.float32(_intensity_at(self.settle(intensity), BLACK)))
         # of a small exponent it is less than float32 holds; a bin without echo is always black
-        return max(least, float(np.finfo(np.float32).tiny))
+        return max(least, LEAST_FLOAT32)
 
     def counts_of(self, share: np.ndarray) -> np.ndarray:
         """Return shares of full scale, float 0..1, as counts, uint8 or uint16."""
@@ -221,11 +222,16 @@ class Counts:
                 "Ping.counts_law finds the gain of a ping)"
             )
         share = np.asarray(_numbers(counts, "counts"), np.float64) / self.full_scale
-        if self.law == "power":
-            intensity = share ** (1 / self.exponent)
-        else:
-            intensity = 10 ** ((self.low_db + share * (self.high_db - self.low_db)) / 10)
-        return (intensity / 10 ** (self.gain_db / 10)).astype(np.float32)
+        return _intensity_at(self, share).astype(np.float32)
+
+
+def _intensity_at(law: Counts, share):
+    """Return the intensity of a share of full scale, or of an array of shares, by a law with a fixed gain."""
+    if law.law == "power":
+        intensity = share ** (1 / law.exponent)
+    else:
+        intensity = 10 ** ((law.low_db + share * (law.high_db - law.low_db)) / 10)
+    return intensity / 10 ** (law.gain_db / 10)
 
 
 def _percentile_of_echoes(intensity: np.ndarray, percentile: float) -> float:
