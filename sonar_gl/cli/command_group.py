@@ -18,9 +18,9 @@ import click
 
 from sonar_gl.cli.output import echo
 from sonar_gl.core.errors import RAISE_FILE_LIMIT, Error, MachineError
-from sonar_gl.core.signals import REPEAT_S
+from sonar_gl.core.signals import REPEAT_S, exit_interrupted
 
-IMPORT_PAUSE_S = 0.05  # until a signal that came during an import is tried again
+PAUSE_S = 0.05  # until a signal that came where it would be lost is tried again
 
 
 class CommandGroup(click.Group):
@@ -91,12 +91,28 @@ def _interrupts():
     """Have SIGTERM, which service managers and containers send, and SIGHUP end a command as Ctrl-C does; lose none.
 
     While modules are imported a signal waits: trimesh imports others under `except BaseException`, and would take the
-    KeyboardInterrupt for the lack of a module.
+    KeyboardInterrupt for the lack of a module. Where Python has to ignore the KeyboardInterrupt, as in a finaliser or in
+    what LLVM calls while Numba compiles or reads a function, the signal comes again.
     """
     if threading.current_thread() is not threading.main_thread():  # where Python allows no handlers
         yield
         return
     n_around, waiting, raised_s = _count_imports(sys._getframe()), [], -math.inf
+    hook_before = sys.unraisablehook
+
+    def send_again(number):
+        again = threading.Timer(PAUSE_S, *_sending(number))
+        again.daemon = True
+        waiting.append(again)
+        again.start()
+
+    def report_unraisable(found):
+        nonlocal raised_s
+        if not issubclass(found.exc_type, KeyboardInterrupt):
+            hook_before(found)
+            return
+        raised_s = -math.inf
+        send_again(signal.SIGTERM)  # all signals end a command alike
 
     def interrupt(number, frame):
         nonlocal raised_s
@@ -106,22 +122,21 @@ def _interrupts():
         if _count_imports(frame) <= n_around:
             raised_s = time.monotonic()
             raise KeyboardInterrupt
-        again = threading.Timer(IMPORT_PAUSE_S, *_sending(number))
-        again.daemon = True
-        waiting.append(again)
-        again.start()
+        send_again(number)
 
     numbers = [signal.SIGTERM]
     # not where the caller has set another handler, or it is ignored, as in the background
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, exit_interrupted):
         numbers.append(signal.SIGINT)
     # of a terminal that is closed, else files that are half written stay; nohup has it ignored
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
         numbers.append(signal.SIGHUP)
     before = {number: signal.signal(number, interrupt) for number in numbers}
+    sys.unraisablehook = report_unraisable
     try:
         yield
     finally:
+        sys.unraisablehook = hook_before
         for again in waiting:
             again.cancel()
         for number, handler in before.items():

@@ -1,5 +1,6 @@
 """Commands end by SIGTERM, which service managers and containers send, as by Ctrl-C."""
 
+import ctypes
 import importlib
 import os
 import signal
@@ -10,7 +11,7 @@ import pytest
 
 import sonar_gl as sg
 from sonar_gl import ros
-from sonar_gl.cli.command_group import IMPORT_PAUSE_S
+from sonar_gl.cli.command_group import PAUSE_S
 from sonar_gl.core.signals import REPEAT_S
 from tests.support.command_line import run
 from tests.support.commands_beside import run_beside
@@ -62,6 +63,31 @@ def test_a_signal_that_is_sent_twice_at_once_ends_a_command_as_one_does(unhandle
     command = ["ros2", *QUICK, "--transport", "dds", "--duration", END]
     printed, _ = run_beside(command, lambda: None, WAIT_S, signal.SIGTERM)
     assert not unhandled and "pings published" in printed
+
+
+EARLY = """
+import os, signal, sys
+def interrupt(*_):
+    os.kill(os.getpid(), signal.SIGINT)
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "{module}":
+            interrupt()
+sys.meta_path.insert(0, Finder())
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.argv = ["sonar-gl", "scenes"]
+from sonar_gl.__main__ import main
+import click
+click.Group.parse_args = interrupt
+main()
+"""
+
+
+@pytest.mark.parametrize("module", ["click", "sonar_gl.cli.main", "sonar_gl.imaging.formats", "none"])
+def test_ctrl_c_while_the_command_loads_ends_it_by_one_line(module):
+    """It printed a traceback; "none" has it come while the arguments are read, which printed "Aborted!"."""
+    done = python("-c", EARLY.format(module=module))
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
 
 
 @pytest.mark.slow
@@ -132,6 +158,21 @@ def test_a_signal_within_an_import_is_not_lost(unhandled, monkeypatch):
     assert not unhandled
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_that_python_must_ignore_comes_again(number, unhandled, monkeypatch):
+    """LLVM calls Python while Numba compiles or reads a function: a KeyboardInterrupt there went lost."""
+
+    def ping(*_, **__):
+        ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), number))()
+        time.sleep(float(END))
+        pytest.fail("the command went on")
+
+    monkeypatch.setattr(sg.Simulator, "ping", ping)
+    status, _, errors = run("render", "pylon")
+    assert status == 130 and errors.endswith("\nerror: interrupted\n")
+    assert not unhandled and "Traceback" not in errors
+
+
 @pytest.mark.parametrize("imports_anything", [signal.SIGTERM], indirect=True)
 @pytest.mark.usefixtures("imports_anything")
 def test_a_signal_within_the_last_import_of_a_command_does_not_reach_its_caller(unhandled, monkeypatch):
@@ -141,7 +182,7 @@ def test_a_signal_within_the_last_import_of_a_command_does_not_reach_its_caller(
 
     monkeypatch.setattr(sg.Simulator, "plan", plan)
     assert run("render", "pylon")[0] == 2
-    time.sleep(2 * IMPORT_PAUSE_S)
+    time.sleep(2 * PAUSE_S)
     assert not unhandled
 
 

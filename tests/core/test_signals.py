@@ -3,7 +3,8 @@ import threading
 
 import pytest
 
-from sonar_gl.core.signals import delayed_interrupt
+from sonar_gl.core.signals import delayed_interrupt, exit_at_interrupt
+from tests.support.processes import python
 
 
 @pytest.fixture(autouse=True)
@@ -65,3 +66,23 @@ def test_other_threads_leave_the_handler_alone():
     thread.start()
     thread.join()
     assert seen == [True]
+
+
+def test_exit_at_interrupt_ends_the_process_at_once():
+    code = "import os, signal\nfrom sonar_gl.core.signals import exit_at_interrupt\n"
+    code += "exit_at_interrupt()\nos.kill(os.getpid(), signal.SIGINT)\nprint('went on')"
+    done = python("-c", code)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "error: interrupted\n")
+
+
+def test_exit_at_interrupt_leaves_other_handlers_and_threads_alone():
+    thread = threading.Thread(target=exit_at_interrupt)
+    thread.start()
+    thread.join()
+    assert is_python_handler()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background
+    exit_at_interrupt()
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    exit_at_interrupt()
+    assert not is_python_handler()

@@ -167,7 +167,7 @@ def test_versions_agree(installed):
 def test_the_command_is_installed(installed):
     (distribution,) = metadata.distributions(name="sonar_gl", path=[str(installed)])
     (command,) = distribution.entry_points.select(group="console_scripts")
-    assert (command.name, command.value) == ("sonar-gl", "sonar_gl.cli.main:main")
+    assert (command.name, command.value) == ("sonar-gl", "sonar_gl.__main__:main")
     environment = {**os.environ, "PYTHONPATH": str(installed)}
     listed = run(
         sys.executable, installed / "bin" / "sonar-gl", "scenes", cwd=installed.anchor, env=environment
