@@ -91,8 +91,8 @@ def _interrupts():
     """Have SIGTERM, which service managers and containers send, and SIGHUP end a command as Ctrl-C does; lose none.
 
     While modules are imported a signal waits: trimesh imports others under `except BaseException`, and would take the
-    KeyboardInterrupt for the lack of a module. Where Python has to ignore the KeyboardInterrupt, as in a finaliser or in
-    what LLVM calls while Numba compiles or reads a function, the signal comes again.
+    KeyboardInterrupt for the lack of a module. Where Python has to ignore the KeyboardInterrupt, as in a finaliser or
+    in what LLVM calls while Numba compiles or reads a function, the signal comes again.
     """
     if threading.current_thread() is not threading.main_thread():  # where Python allows no handlers
         yield
