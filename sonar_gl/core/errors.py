@@ -124,8 +124,21 @@ def nearest_of_many(name: str, known: Iterable[str]) -> str:
 
 
 def similar_names(name: str, known: list[str]) -> str:
-    """Return a question about the most similar known names; empty if none is similar."""
-    similar = difflib.get_close_matches(name, known, n=3, cutoff=0.5) if isinstance(name, str) else []
+    """Return a question about the most similar known names; empty if none is similar.
+
+    >>> similar_names("oculus", ["oculus-m750d-hf", "p900-45"])
+    "did you mean 'oculus-m750d-hf'?"
+    >>> similar_names("foo", ["looks", "speckle"])
+    ''
+    """
+    if not isinstance(name, str):
+        return ""
+    similar = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    if (
+        not similar
+    ):  # half alike suffices from the same letter on: 'hann' for 'hamming', not 'foo' for 'looks'
+        half_alike = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+        similar = [one for one in half_alike if one[:1] == name[:1]]
     return "did you mean " + " or ".join(repr(n) for n in similar) + "?" if similar else ""
 
 
