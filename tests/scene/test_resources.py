@@ -397,8 +397,14 @@ def test_names_too_long_for_a_file(message_of):
 @pytest.mark.parametrize(
     ("xml", "why"),
     [
-        ("<sdf version='1.9'><gz:y b='1'/>{}</sdf>", "line 1: a prefix is not declared"),
-        ("<sdf version='1.9'><y gz:type='1'/>{}</sdf>", "line 1: a prefix is not declared"),
+        (
+            "<sdf version='1.9'><gz:y b='1'/>{}</sdf>",
+            "line 1: the prefix gz is not declared; add xmlns:gz='http://gazebosim.org/schema' to <sdf>",
+        ),
+        (
+            "<sdf version='1.9'>\n<y rov:type='1'/>{}</sdf>",
+            "line 2: the prefix rov is not declared; add xmlns:rov='urn:rov' to <sdf>",
+        ),
         ("<sdf version='1.9'>\n<!-- a -- b -->{}</sdf>", 'line 2: "--" in a comment'),
         (
             "<!-- who -->\n<?xml version='1.0'?><sdf version='1.9'>{}</sdf>",
@@ -413,9 +419,7 @@ def test_xml_that_only_gazebo_accepts_is_read_with_one_warning(tmp_path, xml, wh
     path.write_text(xml.format(f"<sonar_gl:surface>3</sonar_gl:surface>{model(link())}"))
     with pytest.warns(UserWarning) as caught:
         scene = read_sdf(path)
-    assert [str(w.message) for w in caught] == [
-        f"{path}: broken XML, read as Gazebo reads it: {path} ({why})"
-    ]
+    assert [str(w.message) for w in caught] == [f"{path}: broken XML, read as Gazebo reads it: {why}"]
     assert [body.name for body in scene.bodies] == ["m"]
     np.testing.assert_array_equal(np.ptp(scene.bodies[0].surface.vertices, axis=0), (2, 4, 6))
 

@@ -106,10 +106,11 @@ def _warn(path: Path, notes: Iterable[str]) -> None:
 def _warn_of_broken_xml(path: Path, resources: Resources) -> None:
     """Warn of files that are no good XML."""
     if resources.recovered:
-        files = ", ".join(
-            f"{file} ({why})" if why else str(file) for file, why in resources.recovered.items()
-        )
-        warn_caller(f"{path}: broken XML, read as Gazebo reads it: {files}")
+        files = [
+            ", ".join(filter(None, ("" if file == path else str(file), why))) or str(file)
+            for file, why in resources.recovered.items()
+        ]
+        warn_caller(f"{path}: broken XML, read as Gazebo reads it: {'; '.join(files)}")
 
 
 def _notes(water: list[str], height_m: float | None, rays: list[str]) -> Iterator[str]:

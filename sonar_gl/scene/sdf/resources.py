@@ -19,8 +19,9 @@ MAX_XML_BYTES = 50_000_000
 MAX_PACKAGE_DEPTH = 4  # of folders of ROS packages below a resource path
 # What Gazebo's parser, tinyxml2, accepts against the rules of XML, by libxml2's numbers: a declaration that is not
 # first, "--" in a comment, and prefixes that are not declared, of tags and attributes. lxml has no names for them.
-TOLERATED = {64: "the XML declaration is not first", 80: '"--" in a comment', 201: "a prefix is not declared"}
-TOLERATED[202] = TOLERATED[201]
+TOLERATED = {64: "the XML declaration is not first", 80: '"--" in a comment', 201: "", 202: ""}
+UNDECLARED = re.compile(r"Namespace prefix (\S+) ")  # in libxml2's text of the last two
+NAMESPACES = {"gz": "http://gazebosim.org/schema", "ignition": "http://ignitionrobotics.org/schema"}
 BARE_AND = re.compile(rb"&(?!#?\w+;)")  # accepted as well, as in "A & B" or "?a=1&b=2"
 # of tags without a prefix; Gazebo takes it for an attribute without meaning, and the tags for its own
 DEFAULT_NAMESPACE = re.compile(rb"""(?<=\s)xmlns\s*=\s*("[^"]*"|'[^']*')""")
@@ -169,7 +170,9 @@ class Resources:
             raise Error(f"{path}: a document type or entities must not be declared (refused)")
         if len(parser.error_log):
             first = parser.error_log[0]
-            self.recovered[path] = f"line {first.line}: {TOLERATED[first.type]}"
+            self.recovered[path] = (
+                f"line {first.line}: {TOLERATED[first.type] or _undeclared(first.message, root)}"
+            )
         else:
             bare = BARE_AND.search(xml)
             self.recovered[path] = f"line {1 + xml[: bare.start()].count(10)}: a bare '&'" if bare else ""
@@ -390,6 +393,13 @@ class Resources:
         if is_link_loop(path):
             return False  # before Python 3.13, `resolve` raises a RuntimeError
         return any(path.resolve().is_relative_to(root) for root in self.roots)
+
+
+def _undeclared(message: str, root) -> str:
+    """Return what to add for a prefix that libxml2 says is not declared."""
+    prefix = UNDECLARED.match(message)[1]
+    namespace = NAMESPACES.get(prefix, f"urn:{prefix}")
+    return f"the prefix {prefix} is not declared; add xmlns:{prefix}='{namespace}' to <{root.tag}>"
 
 
 def _version(text: str) -> tuple:
