@@ -134,9 +134,8 @@ def similar_names(name: str, known: list[str]) -> str:
     if not isinstance(name, str):
         return ""
     similar = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
-    if (
-        not similar
-    ):  # half alike suffices from the same letter on: 'hann' for 'hamming', not 'foo' for 'looks'
+    if not similar:
+        # half alike suffices with the same first letter: 'hann' for 'hamming', but not 'foo' for 'looks'
         half_alike = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
         similar = [one for one in half_alike if one[:1] == name[:1]]
     return "did you mean " + " or ".join(repr(n) for n in similar) + "?" if similar else ""
