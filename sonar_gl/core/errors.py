@@ -133,11 +133,10 @@ def similar_names(name: str, known: list[str]) -> str:
     """
     if not isinstance(name, str):
         return ""
-    similar = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
-    if not similar:
-        # half alike suffices with the same first letter: 'hann' for 'hamming', but not 'foo' for 'looks'
-        half_alike = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-        similar = [one for one in half_alike if one[:1] == name[:1]]
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    # half alike suffices for a part of a name, or with its first letter: 'hann' for 'hamming', not 'foo' for 'looks'
+    similar = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    similar = [one for one in similar if one in near or name in one or one[:1] == name[:1]]
     return "did you mean " + " or ".join(repr(n) for n in similar) + "?" if similar else ""
 
 

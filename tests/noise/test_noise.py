@@ -254,7 +254,7 @@ def test_parse(text, noise):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("foo", "noise 'foo': unknown name (got 'foo'; presets are none, physical, demarco2015;"),
+        ("foo", "noise 'foo': unknown name (got 'foo'; known are " + ", ".join(sorted([*NAMES, *PRESETS]))),
         ("fysical", "noise 'fysical': unknown name (got 'fysical'; did you mean 'physical'?)"),
         ("gausian=1", "noise 'gausian=1': unknown name (got 'gausian';"),
         ("median=3,none", f"noise 'median=3,none': unknown name (got 'none'; known are {', '.join(NAMES)})"),
