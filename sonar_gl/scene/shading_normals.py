@@ -40,7 +40,11 @@ def turned_share(body: Body) -> float:
 
 def rounded_text(bodies: Iterable[Body]) -> str:
     """Return a sentence about the bodies most of whose area has normals that round its edges; empty if none has."""
-    names = [body.name for body in bodies if turned_share(body) > 0.5]
+    bodies, shares = list(bodies), {}
+    for body in bodies:
+        if _shape_of(body) not in shares:
+            shares[_shape_of(body)] = turned_share(body)
+    names = [body.name for body in bodies if shares[_shape_of(body)] > 0.5]
     if not names:
         return ""
     return (
@@ -48,3 +52,8 @@ def rounded_text(bodies: Iterable[Body]) -> str:
         "rounded, and flat faces echo as curved ones; write the mesh with flat shading or sharp edges "
         "(mesh.unmerge_vertices() of trimesh, Mesh.from_trimesh(mesh, smooth=False) of pyrender)"
     )
+
+
+def _shape_of(body: Body) -> tuple[int, int]:
+    """Return what bodies of one mesh with the same normals have in common, while they are held."""
+    return id(body.surface), id(body.normals)
