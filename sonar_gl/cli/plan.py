@@ -86,6 +86,7 @@ def compare_plans(
 def plan_facts(plan: Plan, tolerance: float, scene: Scene) -> dict:
     """Return a plan as plain values, with what requires so many samples."""
     facts = asdict(plan)
+    del facts["raised_for"]  # of live loops alone
     facts["samples"] = facts.pop("n_samples")
     estimates = {"error": plan.error_estimate, "worst body": plan.worst_body_estimate / WORST_BODY}
     bound_by = max(estimates, key=estimates.get)

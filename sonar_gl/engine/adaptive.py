@@ -380,7 +380,9 @@ class AdaptiveSampling:
         level : that is followed, or will be as soon as it is prepared
         """
         plan, stage = before.plan, self.resolution.stage
-        coarser = 2.0 ** (ERROR_RATE * max(before.level - level, 1) / LEVELS_PER_HALF)
+        is_checked = plan.raised_for is None
+        n_coarser = max(before.level - level, 1) if is_checked else max(plan.raised_for - level, 0)
+        coarser = 2.0 ** (ERROR_RATE * n_coarser / LEVELS_PER_HALF)
         return replace(
             plan,
             sampling=stage.sampling,
@@ -388,6 +390,7 @@ class AdaptiveSampling:
             error_estimate=coarser * max(plan.error_estimate, self.tolerance),
             met=False,
             n_samples=stage.fan.n_samples,
+            raised_for=level if is_checked else min(plan.raised_for, level),
         )
 
     def fewer_samples(self, error: SampleLimitError) -> Resolution:

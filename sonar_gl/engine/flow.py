@@ -62,6 +62,7 @@ class Plan:
     worst_body : number of that body, 0 for none
     met : whether the tolerance is met
     n_samples : samples of the whole fan, with those beyond field of view and aperture
+    raised_for : sampling level for which no check has been made, and the estimate was raised; None for that of a check
     """
 
     sampling: Sampling
@@ -71,6 +72,7 @@ class Plan:
     worst_body: int
     met: bool
     n_samples: int
+    raised_for: int | None = None
 
     @property
     def bound(self) -> float:
