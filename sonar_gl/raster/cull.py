@@ -21,6 +21,7 @@ class BodyBoxes(NamedTuple):
 
     centres, bounds : (n, 3) and (n, 2, 3) of the meshes; bounds count from the centres
     extremes : (n, EXTREMES, 3) vertices, of `extreme_points`, counted likewise
+    spheres : (n, 2) of `radii_about`
     closed : (n,) 0 for open meshes
     roots : (n, 2) first patch of each body and the one after its last
     order : (n,) bodies, closed ones first
@@ -29,6 +30,7 @@ class BodyBoxes(NamedTuple):
     centres: np.ndarray
     bounds: np.ndarray
     extremes: np.ndarray
+    spheres: np.ndarray
     closed: np.ndarray
     roots: np.ndarray
     order: np.ndarray
@@ -109,7 +111,7 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, table):
     matrices : (n, 3, 4) sonar_from_body about the centre, overwritten; table : (n, PER_BODY), the same in float32, in
         the first 12 of its columns
     """
-    centres, bounds, _, closed, _, _ = bodies
+    centres, bounds, _, _, closed, _, _ = bodies
     outside = True
     for n in range(poses.shape[0]):
         if not present[n]:
@@ -139,18 +141,22 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, table):
     return outside
 
 
-def body_spans(matrices: np.ndarray, bounds: np.ndarray, extremes: np.ndarray) -> np.ndarray:
+def body_spans(
+    matrices: np.ndarray, bounds: np.ndarray, extremes: np.ndarray, spheres: np.ndarray
+) -> np.ndarray:
     """Return `body_spans` of `ViewSamples`: 1/range of the furthest place of each body, and of the nearest of its box.
 
-    matrices : of `place_bodies`; bounds, extremes : of BodyBoxes
+    What a sphere within the body hides does not count: of a ball, all behind its outline.
+
+    matrices : of `place_bodies`; bounds, extremes, spheres : of BodyBoxes, the last one zeros where a body is cut open
     """
     out = np.empty((len(matrices) + 1, 2))
-    _find_body_spans(matrices, bounds, extremes, out)
+    _find_body_spans(matrices, bounds, extremes, spheres, out)
     return out
 
 
 @compiled
-def _find_body_spans(matrices, bounds, extremes, out):
+def _find_body_spans(matrices, bounds, extremes, spheres, out):
     """Fill `out` with what `body_spans` returns."""
     out[0, 0], out[0, 1] = 0.0, np.inf
     sonar = np.empty(3)  # in the body's frame
@@ -166,6 +172,10 @@ def _find_body_spans(matrices, bounds, extremes, out):
             for j in range(3):
                 apart2 += (extremes[n, k, j] - sonar[j]) ** 2
             far2 = max(far2, apart2)
+        inner2, outer2 = spheres[n, 0] ** 2, spheres[n, 1] ** 2
+        away2 = sonar[0] ** 2 + sonar[1] ** 2 + sonar[2] ** 2
+        if 0.0 < inner2 < away2:  # the furthest ray that passes the inner sphere ends at the outer one
+            far2 = min(far2, (math.sqrt(away2 - inner2) + math.sqrt(outer2 - inner2)) ** 2)
         out[n + 1, 0] = 1.0 / (scale * math.sqrt(far2)) if far2 > 0.0 else np.inf
         out[n + 1, 1] = 1.0 / (scale * math.sqrt(near2)) if near2 > 0.0 else np.inf
 
@@ -296,7 +306,7 @@ def choose_patches(tree, bodies, placed, view, limits, chosen):
     chosen : (M, 2) int32, patch and body; overwritten
     """
     skip, leaf, error_m, box, cone, moment, whole, n_faces = tree
-    _, bounds, _, closed, roots, order = bodies
+    _, bounds, _, _, closed, roots, order = bodies
     present, matrices, table, outside = placed
     sector, planes_uv, inverse, corner, size, _, _ = view
     near_m, far_m, range_max_m, error_per_m, most_echo_error = limits

@@ -292,6 +292,7 @@ class MeshWithLevels:
     centre : (3,) float64, centre of the mesh's box in the body's frame; origin of all other coordinates
     bounds : (2, 3) low and high corner of the box
     extremes : (EXTREMES, 3) float64, outermost vertices
+    radii : (2,) of `radii_about` the centre; zeros of an open mesh
     closed : +1 if every edge joins two faces of the same orientation, with normals that point outwards; otherwise 0
     points : (W, 3) float32, position of each vertex of the levels
     normals : (W, 3) float32 of the same vertices, or None
@@ -301,6 +302,7 @@ class MeshWithLevels:
     centre: np.ndarray
     bounds: np.ndarray
     extremes: np.ndarray
+    radii: np.ndarray
     closed: int
     levels: Levels
     points: np.ndarray
@@ -319,6 +321,24 @@ def extreme_points(points: np.ndarray) -> np.ndarray:
     directions = np.column_stack([level * np.cos(turn), level * np.sin(turn), z])
     # one after the other: all at once would take as much memory as 16 meshes
     return points[[int((points @ direction).argmax()) for direction in directions]]
+
+
+def radii_about(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return (2,): the radius of a sphere about the origin that a closed mesh fills, and of one that holds the mesh.
+
+    The first is 0 where a face does not look away from the origin, as of a ring, whose origin lies outside of it.
+
+    points : (V, 3); faces : (F, 3), anticlockwise as seen from outside
+    """
+    a, b, c = points[faces].transpose(1, 0, 2)
+    areas = np.cross(b - a, c - a)  # vectors of twice the area
+    lengths = np.linalg.norm(areas, axis=1)
+    is_proper = lengths > 0
+    heights = (
+        np.einsum("fi,fi->f", areas, a)[is_proper] / lengths[is_proper]
+    )  # of the origin below the faces' planes
+    outer = np.linalg.norm(points[faces], axis=2).max()
+    return np.array([max(heights.min(initial=outer), 0.0), outer])
 
 
 def _merge_vertices(rows, faces):
@@ -355,6 +375,7 @@ def mesh_with_levels(body) -> MeshWithLevels:
     points, normals, reflectivity = points - centre, body.normals, None
     if closed < 0:
         faces = faces[:, ::-1]
+    radii = radii_about(points, faces) if closed else np.zeros(2)
     if np.ndim(body.reflectivity):  # each corner gets the reflectivity of its face, and so its own vertex
         reflectivity = np.repeat(np.asarray(body.reflectivity, np.float64), 3)
         corners = np.ascontiguousarray(faces).ravel()
@@ -373,6 +394,7 @@ def mesh_with_levels(body) -> MeshWithLevels:
         centre=centre,
         bounds=bounds - centre,
         extremes=extreme_points(points),
+        radii=radii,
         closed=abs(closed),
         points=points.astype(np.float32)[vertices],
         normals=None if normals is None else normals[vertices],

@@ -68,6 +68,7 @@ class SceneMeshes:
             "centres": np.empty((0, 3)),
             "bounds": np.empty((0, 2, 3)),
             "extremes": np.empty((0, EXTREMES, 3)),
+            "spheres": np.empty((0, 2)),
             "closed": np.empty(0, np.int64),
             "roots": np.empty((0, 2), np.int64),
         }
@@ -106,7 +107,7 @@ class SceneMeshes:
                 _warn_of_many_faces(body)
                 one = mesh_with_levels(body)
                 end = n_patches + len(one.levels.skip)
-                box = one.centre, one.bounds, one.extremes, one.closed, (n_patches, end)
+                box = one.centre, one.bounds, one.extremes, one.radii, one.closed, (n_patches, end)
                 known = new[key] = _KnownMesh(key, made_of, box, int(one.levels.leaf.sum()))
                 n_patches = end
                 made.append(one)
@@ -181,7 +182,8 @@ class SceneMeshes:
         if plane is not None:
             nearest, furthest = distance_before_plane(plane, matrices, self.boxes.bounds)
             present, is_cut = present & (furthest > 0), nearest < 0
-        spans = body_spans(matrices, self.boxes.bounds, self.boxes.extremes)
+        spheres = np.where(is_cut[:, None], 0.0, self.boxes.spheres)
+        spans = body_spans(matrices, self.boxes.bounds, self.boxes.extremes, spheres)
         has_lobes = specular and self._has_lobes
         return BodiesInView(present, matrices, table, outside, has_lobes, plane, is_cut, spans)
 

@@ -156,8 +156,8 @@ class ViewSamples:
     left : column of the image at which the samples of each sector begin
     face_id, body_id : (H, W) int32 and uint16, of the same image; empty if they are not known
     table : plain tuple of SectorTable; None without an image
-    body_spans : (bodies + 1, 2) float64 by number: 1/range of the furthest place of the body, and of the nearest one of
-        its box; empty if it is not known
+    body_spans : (bodies + 1, 2) float64 by number: 1/range of the furthest place of the body that may be visible, and
+        of the nearest one of its box; empty if it is not known
     bubbles : (m, 4) azimuth, sine of elevation, range, steradians of point scatterers; None without plumes
     is_lit : whether the samples of each sector are the window that `SectorSamples.with_echo` finds
     n_faces : how many faces were drawn; 0 if that is not known

@@ -70,7 +70,9 @@ def levels_of_size(body):
     scale = np.float32(np.ptp(body.surface.vertices) / np.ptp(own.surface.vertices))
     names = {"error_m": scale, "box": scale, "moment": scale**2, "whole": scale**2}
     levels = replace(mesh.levels, **{name: getattr(mesh.levels, name) * by for name, by in names.items()})
-    lengths = {name: getattr(mesh, name) * scale for name in ("centre", "bounds", "extremes", "points")}
+    lengths = {
+        name: getattr(mesh, name) * scale for name in ("centre", "bounds", "extremes", "radii", "points")
+    }
     return replace(mesh, levels=levels, **lengths)
 
 

@@ -286,6 +286,58 @@ def test_the_error_of_drawn_patches_is_within_the_limit(views, hills):
     assert coarse > 10
 
 
+@pytest.mark.parametrize(
+    ("mesh", "inner", "outer"),
+    [
+        (trimesh.creation.box((2, 2, 4)), 1.0, 6**0.5),
+        (trimesh.creation.icosphere(5, 1.5), pytest.approx(1.5, rel=3e-4), pytest.approx(1.5, rel=1e-12)),
+        (trimesh.creation.torus(2, 0.5), 0.0, pytest.approx(2.5, rel=1e-3)),  # its middle lies outside of it
+    ],
+)
+def test_radii_of_spheres_in_and_about_a_mesh(mesh, inner, outer):
+    faces = np.r_[mesh.faces, [[0, 0, 1]]]  # one without area has no plane
+    assert detail.radii_about(np.asarray(mesh.vertices), faces).tolist() == [inner, outer]
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.5])
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        trimesh.creation.box((2, 2, 4)),
+        trimesh.creation.icosphere(3, 1.5),
+        trimesh.creation.cylinder(0.5, 3.0),
+        trimesh.creation.capsule(1.0, 0.8),
+    ],
+)
+def test_all_that_is_visible_of_a_body_is_nearer_than_its_span(mesh, scale):
+    """Of convex bodies the corners of faces that look towards the sonar; the outline ends a ball."""
+    rng, some = np.random.default_rng(5), meshes_of([sg.Body("body", mesh)])
+    is_ball = len(mesh.faces) == 1280
+    for _ in range(20):
+        body = np.eye(4)
+        body[:3, :3], body[:3, 3] = (
+            scale * random_rotation(rng)[:3, :3],
+            scale * rng.uniform(4, 20) * np.eye(3)[0],
+        )
+        spans = some.view_from(np.eye(4), SceneState(body[None], np.ones(1, bool))).spans
+        corners = trimesh.transform_points(mesh.vertices, body)[mesh.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        looks_here = np.einsum("fi,fi->f", normals, corners[:, 0]) < 0
+        furthest_m = np.linalg.norm(corners[looks_here], axis=2).max()
+        assert furthest_m <= 1 / spans[1, 0] * (1 + 1e-12)
+        assert 1 / spans[1, 0] <= np.linalg.norm(corners, axis=2).max() * (1 + 1e-12)
+        if is_ball:
+            assert 1 / spans[1, 0] < furthest_m + 0.2 * scale  # about the length of an edge
+
+
+def test_what_is_behind_a_body_that_is_cut_open_counts():
+    """From an image of the sonar behind a mirror, which cuts the ball, its far side is seen."""
+    some, pose = meshes_of([sg.Body("ball", trimesh.creation.icosphere(3, 1.5), sg.pose(6))]), np.eye(4)
+    planes = None, np.array([1.0, 0, 0, -6])
+    outline_m, furthest_m = (1 / some.view_from(pose, plane=plane).spans[1, 0] for plane in planes)
+    assert outline_m < 6.0 < 7.4 < furthest_m <= 7.5
+
+
 def pings(bodies, poses, **kw):
     with sg.Simulator(sg.Scene(bodies), SONAR, sg.Acoustics.ideal(), SAMPLING, **kw) as it:
         return [it.ping(pose, labels=True) for pose in poses]
@@ -420,7 +472,7 @@ def test_a_driver_of_opengl_3_3_gives_the_same_ping(extensions, indirect, tmp_pa
         pytest.param(trimesh.creation.cylinder(0.1, 0.6, sections=48), 0.02, marks=pytest.mark.slow),
     ],
 )
-def test_the_spans_of_bodies_hold_all_of_their_places(mesh, share):
+def test_the_spans_of_bodies_hold_all_of_their_visible_places(mesh, share):
     """The nearest place is that of the box; how much too near the furthest is found is a share of the radius."""
     rng, bodies = np.random.default_rng(1), []
     for number in range(20):
@@ -436,7 +488,10 @@ def test_the_spans_of_bodies_hold_all_of_their_places(mesh, share):
     for body, (furthest, nearest) in zip(bodies, spans[1:], strict=True):
         places = np.asarray(body.mesh.vertices) @ body.pose[:3, :3].T + body.pose[:3, 3]
         ranges_m = np.linalg.norm(places - pose[:3, 3], axis=1)
-        assert ranges_m.max() * (1 + 1e-12) >= 1 / furthest >= ranges_m.max() - share * radius_m - 1e-12
+        normals, faces = body.mesh.face_normals @ body.pose[:3, :3].T, body.mesh.faces
+        looks_here = ((pose[:3, 3] - places[faces[:, 0]]) * normals).sum(axis=1) > 0
+        visible_m = ranges_m[faces[looks_here]].max(initial=0.0)  # none is where the sonar is inside
+        assert ranges_m.max() * (1 + 1e-12) >= 1 / furthest >= visible_m - share * radius_m - 1e-12
         low, high = body.mesh.bounds
         sonar = body.pose[:3, :3].T @ (pose[:3, 3] - body.pose[:3, 3])
         expected_m = np.linalg.norm(np.maximum(0, np.maximum(low - sonar, sonar - high)))
