@@ -42,6 +42,7 @@ from sonar_gl.sonar.sonar import Sonar
 # strips are counted, rows with labels, which take twice as long, and products of a column's bin with its weight.
 FEW_ROWS, FEW_LABEL_ROWS, FEW_PRODUCTS = 10_000, 5_000, 5_000_000
 NO_GAIN = np.empty(0, np.float32)
+TOUCHING = 1e-7  # of its range: a body that is nearer than the end of the last bin by no more only touches it
 HALF_POWER_TWO_WAY = 0.25
 
 
@@ -347,7 +348,7 @@ class Beamformer:
 
     def _sum_surfaces(self, view: ViewSamples) -> ColumnSums:
         """Return the sums of a view's surfaces in columns."""
-        columns, images = self._column_sums(), self._images_of(view)
+        columns, images = self._column_sums(), self._images_of(view) if self._is_in_range(view) else []
 
         def work(half):
             self.clear_columns(half, columns)
@@ -367,6 +368,11 @@ class Beamformer:
         self._run(work, self._strip_rows(images) < FEW_ROWS)
         self._share_wide_columns(self._wide_parts[2], columns)
         return columns
+
+    def _is_in_range(self, view: ViewSamples) -> bool:
+        """Return whether any body may be nearer than the end of the last bin, into which samples behind it reach."""
+        nearest = view.body_spans[1:, 1]
+        return not len(view.body_spans) or bool((nearest * self._bins[0][-1] > 1 + TOUCHING).any())
 
     def _images_of(self, view: ViewSamples) -> list[_ImageOfSectors]:
         """Return the image of a view, which holds all sectors side by side; that of each sector if a host drew them."""
@@ -451,6 +457,8 @@ class Beamformer:
 
         view : ViewSamples, whose samples must hold the numbers of bodies
         """
+        if not self._is_in_range(view):
+            view = view.without_echo()
         columns = self._column_sums()
         is_little = self._strip_rows(self._images_of(view)) < FEW_LABEL_ROWS
         run, clear = partial(self._run, serial=is_little), partial(self.clear_columns, columns=columns)

@@ -186,6 +186,12 @@ class ViewSamples:
             return self.n_samples
         return _count_met(self.body_id, self.table[0])
 
+    def without_echo(self) -> ViewSamples:
+        """Return this view with samples that return nothing."""
+        image = None if self.plane_echo is None else np.zeros_like(self.plane_echo)
+        sectors = (one._replace(plane_echo=np.zeros_like(one.plane_echo)) for one in self.sectors)
+        return replace(self, sectors=tuple(sectors), plane_echo=image)
+
     def with_echo(self) -> ViewSamples:
         """Return the windows of this view's sectors that hold all samples with an echo, without bubbles."""
         if self.is_lit:

@@ -13,6 +13,7 @@ from sonar_gl.analysis.verify import ping_error, worst_body
 from sonar_gl.beamform.beamformer import BeamEcho
 from sonar_gl.engine import error_model
 from sonar_gl.engine.body_counts import MIN_BODY_SAMPLES, BodyCounts
+from sonar_gl.engine.no_echo import NoEchoWarning
 from sonar_gl.engine.request import PingRequest
 from sonar_gl.sonar.sampling import WORST_BODY, ToleranceWarning, sampling_at
 from sonar_gl.sonar.sector import SHEAR
@@ -37,18 +38,38 @@ def test_small_bodies_get_the_samples_that_their_echo_needs():
         assert count_samples(simulator)[2] < 20 < samples[2]
 
 
-def test_samples_that_only_reach_into_the_last_bin_break_no_tolerance():
-    """Side lobes see the floor 3 m below, where the range ends. The more samples, the less they reach into it."""
+def floor_at_the_end():
+    """Return the scene pylon and a sonar whose side lobes see the floor 3 m below, where its range ends."""
     scene, sonar = sg.load_scene("pylon"), sg.load_sonar("p900-45").with_range(3.0)
     floor_z_m = scene.bodies[0].mesh.vertices[:, 2].max() + scene.bodies[0].pose[2, 3]
     assert scene.sonar_pose[2, 3] - floor_z_m == 3.0
-    with sg.Simulator(scene, sonar) as simulator, warnings.catch_warnings():
+    return scene, sonar
+
+
+@pytest.mark.parametrize("labels", [False, True])
+def test_bodies_of_which_none_is_nearer_than_the_last_bin_ends_have_no_echo(labels):
+    """Samples behind the last bin reached into it, the less the finer: as many as fit were drawn, 5.4 million."""
+    scene, sonar = floor_at_the_end()
+    with sg.Simulator(scene, sonar) as simulator:
+        with pytest.warns(NoEchoWarning, match="3.00 m, beyond range_max_m = 3"):
+            ping = simulator.ping(scene.sonar_pose, labels=labels, label_level_db=-180.0 if labels else None)
+        assert simulator.run.sampler.plan.level <= simulator.run.sampler.search.usual
+    assert not ping.intensity.any() and not (labels and ping.body_id.any())
+
+
+def test_samples_that_only_reach_into_the_last_bin_break_no_tolerance():
+    """The more samples, the less they reach into it. A body behind the sonar is nearer."""
+    scene, sonar = floor_at_the_end()
+    behind = sg.Body("behind", trimesh.creation.box(), scene.sonar_pose @ sg.pose(-2))
+    with (
+        sg.Simulator(scene.with_bodies([*scene.bodies, behind]), sonar) as simulator,
+        warnings.catch_warnings(),
+    ):
         warnings.simplefilter("error", ToleranceWarning)
         ping = simulator.ping(scene.sonar_pose)
         assert simulator.plan([scene.sonar_pose]).met
-    assert (
-        ping.intensity.sum() < 1e-7
-    )  # a thirtieth of that of the first samples: finer ones might find an echo, or none
+    # a thirtieth of that of the first samples: finer ones might find an echo, or none
+    assert 0 < ping.intensity.sum() < 1e-7
     assert ping.error_estimate == 0.0
 
 
