@@ -129,6 +129,7 @@ def _find_in_tiles(runs, tiles, pasts, part, columns, panel, ping, room, stronge
         _pack_panel(panel, runs, k0, columns)
         for t in range(part[0], part[1]):
             _clear_background(strongest.background, t, k0)
+            room.total[:] = 0.0
             is_first = True
             for m in range(runs.bodies.shape[0]):
                 first = _first_from(panel, m, tiles.first[t])
@@ -140,7 +141,7 @@ def _find_in_tiles(runs, tiles, pasts, part, columns, panel, ping, room, stronge
                 if ping.is_background[body]:
                     _add_background(strongest.background, mine, t, k0)
                 if ping.body_bins.shape[0] > 0:
-                    _clear_outside(mine, ping.body_bins, body, k0)
+                    _clear_outside(mine, room.total, ping.body_bins, body, k0)
                 if is_first:
                     _begin_comparison(np.int32(body), room)
                 else:
@@ -270,7 +271,7 @@ def _begin_comparison(body, room):
     for r in range(TILE_BEAMS):
         at, bins = uint64(r * TILE_ROW), uint64(r * TILE_BINS)
         for k in range(uint64(TILE_BINS)):
-            total[bins + k] = best[at + k]
+            total[bins + k] += best[at + k]
             body_id[bins + k] = body if best[at + k] > np.float32(0.0) else np.int32(0)
 
 
@@ -300,14 +301,17 @@ def _compare(body, room):
 
 
 @inlined
-def _clear_outside(rows, body_bins, body, k0):
-    """Set the echo of a body to zero in those bins from k0 on in which it cannot be; rows : of TileRoom."""
+def _clear_outside(rows, total, body_bins, body, k0):
+    """Set the echo of a body to zero in those bins from k0 on in which it cannot be; it stays a part of the total.
+
+    rows, total : of TileRoom
+    """
     low, high = max(body_bins[body, 0] - k0, 0), max(body_bins[body, 1] - k0, 0)
     for r in range(TILE_BEAMS):
-        for k in range(min(low, TILE_BINS)):
-            rows[r * TILE_ROW + k] = 0.0
-        for k in range(high, TILE_BINS):
-            rows[r * TILE_ROW + k] = 0.0
+        for k in range(TILE_BINS):
+            if k < low or k >= high:
+                total[r * TILE_BINS + k] += rows[r * TILE_ROW + k]
+                rows[r * TILE_ROW + k] = 0.0
 
 
 @inlined
