@@ -244,7 +244,7 @@ def test_pings_after_any_changes_are_those_of_a_new_scene(seed, engine):
         scene.simulator() as first,
         sg.Simulator(first, second.sonar, second.acoustics, second.samples["sampling"]) as other,
     ):
-        for step in range(3):
+        for step in range(2):
             added = random_body(rng, f"added {step}", scene.sonar)
             added = replace(added, pose=scene.pose @ added.pose)
             (first, other)[step % 2].add(added)
