@@ -392,7 +392,9 @@ class TestMoving:
         sampler.choice = replace(choice, coverage=times(0.1, choice.coverage), is_due=True)
         usual = 0.99 * 1.6 / 2.3 * cost_of(sampler.plan.n_samples, choice.coverage)
         sampler.history = sampler.history._replace(costs=(usual,) * n_pings)
-        simulator.ping(np.eye(4))
+        assert choice.plan.met
+        ping = simulator.ping(np.eye(4))
+        assert is_checked or ping.error_estimate > sampler.tolerance
         assert bool(calls) == is_checked and sampler.choice.is_due == (not is_checked)
         assert sampler.choice.level == choice.level and sampler.choice.coverage == choice.coverage
 
