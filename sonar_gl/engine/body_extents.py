@@ -12,6 +12,7 @@ from sonar_gl.core.compiled import compiled
 from sonar_gl.core.poses import scale_of, scales_of
 from sonar_gl.engine.reception import Reception
 from sonar_gl.scene.state import GreatestReflectivity, SceneState
+from sonar_gl.sonar.sonar import Sonar
 
 MAX_FACES = 200_000  # of larger meshes the box stands for the area: summing their faces costs too much
 GLINT_REACH = 4.0  # times the rms slope: beyond, a specular lobe has 10⁻⁴ of its echo
@@ -19,6 +20,8 @@ MAX_FLAT_FACES = 12  # directions of a body whose faces are flat: it is a glint 
 NO_GLINT = 1e-26  # of the greatest lobe: a sample with less returns nothing
 LEAST_ROUND = 0.2  # of a sphere's normals in one direction: cylinders, and no floors, have more in two
 MAX_CLIPPED_FACES = 1024  # of larger meshes about so many: their edges are short
+FLAT = 1e-6  # of a radius: a surface that departs no more from a plane has no edge that returns an echo
+EDGE_ON_RAD = 1e-6  # about the rounding of samples: a plane that is seen at less has none
 
 
 class Sphere(NamedTuple):
@@ -39,6 +42,22 @@ def _used_vertices(surface) -> np.ndarray:
     used = np.zeros(len(surface.vertices), bool)
     used[np.asarray(surface.faces)] = True
     return np.asarray(surface.vertices, np.float64)[used]
+
+
+def plane_of(points) -> np.ndarray:
+    """Return the unit normal of the plane in which (n, 3) points lie and its distance from the origin, (4,), or NaN.
+
+    Some of the points find it, and all of them are tested.
+    """
+    some = points[:: 1 + len(points) // MAX_CLIPPED_FACES] - points[0]
+    axis = some[(some * some).sum(axis=1).argmax()]
+    across = np.cross(axis, some)
+    normal = across[(across * across).sum(axis=1).argmax()]
+    length, radius_m = np.linalg.norm(normal), np.linalg.norm(axis)
+    most = FLAT * radius_m * length
+    if length == 0.0 or any(np.abs(away @ normal).max() > most for away in (some, points - points[0])):
+        return np.full(4, np.nan)
+    return np.append(normal, points[0] @ normal) / length
 
 
 def _silhouette_m2(surface) -> float:
@@ -149,6 +168,7 @@ class _Extents(NamedTuple):
 
     centres, radii_m : (n, 3) and (n,), of a sphere about each, in its frame
     areas_m2 : (n,), the greatest silhouette
+    planes : (n, 4), of `plane_of`, in its frame
     lobes : (n,), the greatest of the specular lobe
     glint_shares : (n,), 1 of bodies without a lobe
     mean_lobes : (n,), what a sphere returns per steradian of its outline by the lobe; 0 of bodies without a lobe, and
@@ -161,6 +181,7 @@ class _Extents(NamedTuple):
     centres: np.ndarray
     radii_m: np.ndarray
     areas_m2: np.ndarray
+    planes: np.ndarray
     lobes: np.ndarray
     glint_shares: np.ndarray
     mean_lobes: np.ndarray
@@ -173,11 +194,9 @@ class _Extents(NamedTuple):
 def _extents(bodies, specular: bool) -> _Extents:
     surfaces = [body.surface for body in bodies]
     different = {id(surface): surface for surface in surfaces}  # bodies may share one
-    measured = {
-        key: (sphere_about(_used_vertices(s)), _silhouette_m2(s), is_round(s)) for key, s in different.items()
-    }
+    measured = {key: _measured(surface) for key, surface in different.items()}
     of_bodies = [measured[id(surface)] for surface in surfaces]
-    spheres, silhouettes_m2, are_round = zip(*of_bodies, strict=True) if surfaces else ((), (), ())
+    spheres, planes, silhouettes_m2, are_round = zip(*of_bodies, strict=True) if surfaces else ((),) * 4
     radii_m = np.array([sphere.radius_m for sphere in spheres])
     lobes = [
         specular_lobe(cos_of_greatest_lobe(body.roughness_rad), body.specular * specular, body.roughness_rad)
@@ -191,6 +210,7 @@ def _extents(bodies, specular: bool) -> _Extents:
         np.array([sphere.centre for sphere in spheres]).reshape(-1, 3),
         radii_m,
         np.minimum(np.pi * radii_m**2, silhouettes_m2),  # inside that of the sphere
+        np.array(planes).reshape(-1, 4),
         np.array(lobes),
         np.array(shares),
         np.array([body.specular * specular / 4 if _is_shaded(body) else 0.0 for body in bodies]),
@@ -198,6 +218,12 @@ def _extents(bodies, specular: bool) -> _Extents:
         np.array(are_round, bool),
         *GreatestReflectivity.of(bodies),
     )
+
+
+def _measured(surface) -> tuple[Sphere, np.ndarray, float, bool]:
+    """Return the sphere about a surface, its plane, its greatest silhouette, and whether it is round."""
+    points = _used_vertices(surface)
+    return sphere_about(points), plane_of(points), _silhouette_m2(surface), is_round(surface)
 
 
 def _is_shaded(body) -> bool:
@@ -355,15 +381,37 @@ class BodyExtents:
         return out
 
     def share_in_view(self, number: int, body, state: SceneState, pose, reception: Reception) -> float:
-        """Return what share of `greatest_echo` a body may return, as its lobe need not be seen where it is greatest.
+        """Return what share of `greatest_echo` a body may return at most from where it is seen.
+
+        Its lobe need not be seen where it is greatest, and a body in one plane not face on.
 
         number : of the body, from 1
         """
+        open_share = self._open_share(number, state.poses[number - 1], pose, reception.sonar)
         lobe, greatest = self._columns.lobes[number - 1], self.greatest_backscatter(state)[number - 1]
-        if lobe <= 0.0 or greatest <= 0.0:
-            return 1.0
+        if lobe <= 0.0 or greatest <= 0.0 or open_share <= 0.0:
+            return open_share
         in_view = greatest_lobe(body, state.poses[number - 1], pose, reception)
-        return float((greatest - lobe + in_view) / greatest)
+        return open_share * float((greatest - lobe + in_view) / greatest)
+
+    def _open_share(self, number: int, body_pose, pose, sonar: Sonar) -> float:
+        """Return what share of its greatest silhouette a body may show in range: less than 1 of one in a plane.
+
+        0 where the sonar lies in that plane, within rounding.
+        """
+        columns = self._columns
+        normal, distance = columns.planes[number - 1, :3], columns.planes[number - 1, 3]
+        if np.isnan(distance):
+            return 1.0
+        scale = scale_of(body_pose)
+        at = body_pose[:3, :3].T @ (pose[:3, 3] - body_pose[:3, 3]) / scale**2
+        radius_m = columns.radii_m[number - 1]
+        nearest = np.linalg.norm(at - columns.centres[number - 1]) - radius_m
+        sine = abs(normal @ at - distance) / max(nearest, sonar.range_min_m / scale, 1e-9)
+        if sine < EDGE_ON_RAD:
+            return 0.0
+        # no layer of the plane hides another, so that those that are seen lie inside the circle about it
+        return float(min(1.0, np.pi * radius_m**2 * sine / columns.areas_m2[number - 1]))
 
     def greatest_backscatter(self, state: SceneState) -> np.ndarray:
         """Return (bodies,) the most that each may return per steradian: reflectivity and the greatest lobe."""

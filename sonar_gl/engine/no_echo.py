@@ -86,6 +86,11 @@ def why_no_echo(
     range_m = float(np.linalg.norm(point))
     azimuth = math.degrees(math.atan2(point[1], point[0]))
     elevation = math.degrees(math.atan2(point[2], math.hypot(point[0], point[1])))
+    if range_m == 0 or (abs(azimuth) <= sonar.azimuth_fov_deg / 2 and abs(elevation) <= top_deg):
+        return (
+            f"no echo came back: no sample met a surface; the nearest is {name!r}, {_length(range_m)} away: it is seen "
+            "edge-on, or is thinner than the samples; move the sonar" + _scale_hint(scene)
+        )
     return (
         f"no echo came back: no surface lies in the fan; the nearest is {name!r}, {_length(range_m)} away at "
         f"azimuth {azimuth:.1f}° and elevation {elevation:.1f}° of the sonar, which sees azimuths within "

@@ -411,9 +411,14 @@ def test_of_pings_without_echo_in_a_row_the_first_are_explained(monkeypatch):
         (  # seen edge-on, from within the range to far beyond
             (sg.Body("plate", trimesh.Trimesh([[5, -1, 0], [5, 1, 0], [99, 0, 0]], [[0, 1, 2]])),),
             np.eye(4),
-            "no echo came back: no surface lies in the fan; the nearest is 'plate', 5.00 m away at azimuth 0.0° and "
-            "elevation 0.0° of the sonar, which sees "
-            "azimuths within ±30° and elevations within ±10°; turn or move the sonar",
+            "no echo came back: no sample met a surface; the nearest is 'plate', 5.00 m away: it is seen edge-on, or "
+            "is thinner than the samples; move the sonar",
+        ),
+        (  # the sonar lies in it
+            (sg.Body("deck", trimesh.Trimesh([[-9, -9, 0], [9, -9, 0], [0, 9, 0]], [[0, 1, 2]])),),
+            np.eye(4),
+            "no echo came back: no sample met a surface; the nearest is 'deck', 0.00 m away: it is seen edge-on, or "
+            "is thinner than the samples; move the sonar",
         ),
         *(
             (

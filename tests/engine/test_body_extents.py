@@ -172,6 +172,53 @@ def test_the_greatest_lobe_in_view_bounds_what_samples_return():
     assert min(met) >= 3
 
 
+def sheet(n=1):
+    """Return a square of 1 m in the plane y = 0.25, of 2 n² faces, with a vertex that no face uses."""
+    x, z = np.meshgrid(np.linspace(-0.5, 0.5, n + 1), np.linspace(-0.5, 0.5, n + 1))
+    k = np.arange(x.size).reshape(x.shape)
+    quads = np.stack([k[:-1, :-1], k[:-1, 1:], k[1:, 1:], k[1:, :-1]], axis=-1).reshape(-1, 4)
+    corners = np.stack([x, np.full(x.shape, 0.25), z], axis=-1).reshape(-1, 3)
+    return trimesh.Trimesh(np.vstack([corners, [[9, 9, 9]]]), quads, process=False)
+
+
+@pytest.mark.parametrize("n", [1, 40])
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_a_body_in_a_plane_returns_nothing_to_a_sonar_in_that_plane(n, scale):
+    """And little to one near it: no more than by its silhouette. Bodies that are not in a plane have no such limit."""
+    sonar_pose, shape = sg.pose(1.0, 2.0, 3.0, 0.3, -0.2, 0.5), np.diag([scale, scale, scale, 1.0])
+    reception = Reception(SONAR, 0.0, 0.2, False, np.ones(SONAR.n_bins), np.zeros(0), None)
+    for offset_m, mesh in ((0.0, sheet(n)), (0.01, sheet(n)), (0.0, trimesh.creation.box((1, 1e-5, 1)))):
+        body = sg.Body("sheet", mesh, sonar_pose @ sg.pose(5.0, -0.25 * scale + offset_m), 1.0)
+        state = SceneState((body.pose @ shape)[None], np.ones(1, bool))
+        extents = BodyExtents([body])
+        share = extents.share_in_view(1, body, state, sonar_pose, reception)
+        if len(mesh.faces) == 12:
+            assert share == 1.0
+        elif offset_m == 0.0:
+            assert share == 0.0
+        else:
+            # silhouette by that at right angles, at the nearest point of the circle about the square
+            silhouette = offset_m / (math.hypot(5.0, offset_m) - math.sqrt(0.5) * scale) * np.pi * 0.5
+            assert share == pytest.approx(silhouette / 0.5, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "acoustics", [sg.Acoustics.ideal(), sg.Acoustics.physical()], ids=["ideal", "physical"]
+)
+def test_a_sheet_in_whose_plane_the_sonar_lies_takes_no_samples(acoustics):
+    """It asked for the most that fit, which took a thousand times as long, and its error was unknown."""
+    floor = sg.Body("floor", trimesh.creation.box((60, 60, 0.1)), sg.pose(0, 0, -2), 0.3)
+    net = sg.Body("net", sheet(), sg.pose(5, -0.25), 0.5)
+    pings = []
+    for bodies in ([floor], [floor, net]):
+        with sg.Simulator(sg.Scene(bodies), SONAR, acoustics, tolerance=0.05) as simulator:
+            pings.append(simulator.ping(sg.pose(pitch=0.3)))
+    alone, both = pings
+    assert both.error_estimate <= 0.05
+    assert both.meta["sampling"] == alone.meta["sampling"]
+    np.testing.assert_array_equal(both.intensity, alone.intensity)
+
+
 @pytest.mark.parametrize(
     ("mesh", "share"),
     [
