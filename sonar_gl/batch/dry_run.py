@@ -142,14 +142,25 @@ def _seen_text(seen: SeenClasses) -> str:
 
 
 def _pose_text(pose: np.ndarray) -> str:
-    """Return a pose as --pose takes it."""
-    return repr(" ".join(f"{x + 0.0:.4g}" for x in pose_numbers(pose)))
+    """Return a pose as --pose takes it; 0.0 is added since -0.0 would have a sign.
+
+    >>> at = np.eye(4)
+    >>> at[:3, 3] = 451234.5, 4987654.321, -0.00001
+    >>> _pose_text(at)
+    "'451234.5 4987654.321 0 0 0 0'"
+    """
+    return repr(" ".join(f"{round(x, 4) + 0.0:.11g}" for x in pose_numbers(pose)))
 
 
 def _amount(size: float) -> str:
+    """Return a number of bytes in words.
+
+    >>> _amount(999.7e6), _amount(2.5e12)
+    ('1 GB', '2.5 TB')
+    """
     for unit in ("kB", "MB", "GB"):
         size /= 1000
-        if size < 1000:
+        if size < 999.5:
             return f"{size:.3g} {unit}"
     return f"{size / 1000:.3g} TB"
 

@@ -183,7 +183,7 @@ def inside_text(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, 
     name = body_around(bodies, poses, present, place)
     if not name:
         return ""
-    at = ", ".join(f"{number:.4g}" for number in place)
+    at = ", ".join(f"{round(number, 3) + 0.0:.10g}" for number in map(float, place))
     return (
         f"the sonar at ({at}) m is inside body {name!r}, or below it if it is a terrain, and sees what no sonar does "
         "from there; give it another pose, have the body absent in its pings (Simulator.ping(bodies=...)), or, if it "
@@ -208,7 +208,7 @@ def other_unit_text(scene: Scene) -> str:
 def size_text(size_m) -> str:
     """Return three lengths in words.
 
-    >>> size_text([1, 20, 20.5]), size_text([12000, 3000, 45])
-    ('1 x 20 x 20.5 m', '12000 x 3000 x 45 m')
+    >>> size_text([1, 20, 20.5]), size_text([12000, 999.7, 45])
+    ('1 x 20 x 20.5 m', '12000 x 1000 x 45 m')
     """
-    return " x ".join(f"{length:.0f}" if length >= 1000 else f"{length:.3g}" for length in size_m) + " m"
+    return " x ".join(f"{length:.0f}" if length >= 999.5 else f"{length:.3g}" for length in size_m) + " m"

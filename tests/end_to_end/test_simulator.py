@@ -924,6 +924,16 @@ def test_the_first_ping_of_a_sonar_inside_a_body_warns():
             assert one.filename == __file__
 
 
+def test_the_place_of_a_sonar_in_a_body_is_told_to_millimetres_also_in_utm():
+    place = sg.pose(451234.5, 4987654.321, -5)
+    ball = sg.Body("ball", trimesh.creation.icosphere(3, 1.0), place)
+    with sg.Simulator(sg.Scene([ball]), SONAR, sampling=SAMPLING) as it, pytest.warns(UserWarning) as caught:
+        it.ping(place)
+    assert str(caught[0].message).startswith(
+        "the sonar at (451234.5, 4987654.321, -5) m is inside body 'ball', "
+    )
+
+
 def test_a_tank_whose_faces_look_inside_looks_alike_without_a_warning():
     """As the warning of a sonar inside a body says: a box is often meant as a tank."""
     box, turned = (trimesh.creation.box((12, 8, 6)) for _ in range(2))
