@@ -13,7 +13,7 @@ from sonar_gl.batch.job_warnings import job_warnings
 from sonar_gl.batch.manifest import Manifest
 from sonar_gl.batch.pool import Pool
 from sonar_gl.batch.requests import BatchRequests
-from sonar_gl.batch.survey import HardView, SeenClasses
+from sonar_gl.batch.survey import HardView, SeenClasses, surveyed_scenes
 from sonar_gl.core.poses import pose_numbers
 from sonar_gl.scene.extent import other_unit_text
 
@@ -32,7 +32,7 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
         manifest.save(Folder(url))
         pool.call("create")
         tried = pool.call("try")
-        surveys = [pool.call("survey", scene) for scene in range(len(job.scenes))]
+        surveys = {scene: pool.call("survey", scene) for scene in surveyed_scenes(len(job.scenes))}
     n, lines = manifest.n_pings, []
     for run in requests.runs:
         first, last = run.numbers[0], run.numbers[-1]
@@ -43,7 +43,11 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
             z_m = contents.surface_z_m
             surface = "" if z_m is None else f"; the water's surface at z = {z_m:g} m"
             lines.append(f"scene {name}: {', '.join(contents.names)}{surface}")
-    for scene, views in enumerate(surveys):
+    if len(surveys) < len(job.scenes):
+        lines.append(
+            f"what follows is of {len(surveys)} of the {len(job.scenes)} scenes, spread over the job"
+        )
+    for scene, views in surveys.items():
         for name, sonar in requests.sonars.items():
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
             lines += _views_text(size, [view for view in views if view.sonar == name], requests)

@@ -14,10 +14,12 @@ from sonar_gl.batch.manifest import CHUNK_PINGS
 from sonar_gl.batch.outputs import Output
 from sonar_gl.batch.parts import Batch, Report, no_report, open_simulators, reported_warnings
 from sonar_gl.batch.requests import BatchRequests
+from sonar_gl.engine.level_search import evenly_picked
 from sonar_gl.scene.extent import body_around
 from sonar_gl.sonar.sampling import WORST_BODY
 
 SURVEYED = 24  # pings of a scene
+MOST_SCENES = 20  # of a job: with pings of all of many scenes a dry run would take longer than the job
 
 
 class SeenClass(NamedTuple):
@@ -43,7 +45,7 @@ class DryRun:
 
     seconds_per_ping, bytes_per_ping : means over the job
     numbers : of the pings, rising
-    seen : of each scene and sonar; empty if the job stores no labels
+    seen : of each of `surveyed_scenes` and sonar; empty if the job stores no labels
     """
 
     seconds_per_ping: float
@@ -70,18 +72,28 @@ class LabelledBins(Output):
             self.counts.setdefault(sonar, []).append(counts)
 
 
+def surveyed_scenes(n_scenes: int) -> list[int]:
+    """Return the numbers of the scenes of which a dry run makes pings: all, or MOST_SCENES spread over many.
+
+    >>> surveyed_scenes(3), len(surveyed_scenes(500))
+    ([0, 1, 2], 20)
+    """
+    return evenly_picked(range(n_scenes), MOST_SCENES)
+
+
 def try_pings(batch: Batch, report: Report = no_report) -> DryRun:
     """Return what a ping costs, of about as many as a part has, spread over the job, and which classes are seen.
 
-    The pings of each scene are made twice, as a part is made, since only the second time is typical: the first one
-    opens the scene, and compiles. With labels, the first time there are SURVEYED at least, since few say little.
+    Those of each of `surveyed_scenes` are made twice, as a part is made, since only the second time is typical: the
+    first one opens the scene, and compiles. With labels, the first time there are SURVEYED at least, since few say
+    little.
     """
     requests, folder = batch.requests, batch.folder
-    n_scenes, n_part = len(requests.job.scenes), len(batch.manifest.numbers(0))
+    scenes, n_part = surveyed_scenes(len(requests.job.scenes)), len(batch.manifest.numbers(0))
     # of each scene a chunk at least, since few pings have more than their share of what a part needs once
-    n_each = min(n_part, max(CHUNK_PINGS, -(-n_part // n_scenes)))
+    n_each = min(n_part, max(CHUNK_PINGS, -(-n_part // len(scenes))))
     seconds, sizes, numbers, weights, seen = [], [], [], [], []
-    for scene in range(n_scenes):
+    for scene in scenes:
         picked = _spread_numbers(requests, scene, n_each)
         if requests.job.labels is None:
             batch.maker.make_sample(picked, report)

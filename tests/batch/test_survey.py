@@ -1,5 +1,6 @@
 """What a dry run finds out about a job: what its pings cost, need and show."""
 
+import re
 import shutil
 import warnings
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from sonar_gl.engine.level_search import LevelSearch
 from sonar_gl.sonar.sampling import ToleranceWarning
 from tests.support.batches import BOX, LABELS, MORE, make_all, open_batch, write_job, write_plain_job
 from tests.support.command_line import WALL, run
+from tests.support.inline_pool import use_inline_pool
 
 
 def test_a_survey_says_what_decides_the_samples_of_each_ping(tmp_path, monkeypatch):
@@ -64,6 +66,24 @@ def test_a_survey_that_fails_has_reported_its_warnings(tmp_path, monkeypatch):
         survey(batch, 0, lambda *told: reports.append(told))
     sonar, scene = next(iter(batch.requests.sonars)), batch.requests.job.scenes[0]
     assert reports == [("warning", f"warning: {sonar} in {scene}: the water is cold")]
+
+
+def test_a_dry_run_of_many_scenes_makes_pings_of_some_of_them(tmp_path, monkeypatch):
+    """All would take longer than the job, as of random scenes with few pings each."""
+    use_inline_pool(monkeypatch)
+    monkeypatch.setattr(survey_module, "MOST_SCENES", 3)
+    path = write_plain_job(tmp_path, 2, 2, LABELS)
+    names = [f"tank_{number}.sdf" for number in range(5)]
+    for name in names:
+        shutil.copy(tmp_path / "tank.sdf", tmp_path / name)
+    path.write_text(path.read_text().replace('["tank.sdf"]', str(names)))
+    status, out, err = run("batch", path, "--dry-run", "--workers", "1")
+    assert status == 0, err
+    assert "\nwhat follows is of 3 of the 5 scenes, spread over the job\n" in out
+    for line in (r"level in tank_(.).sdf: .*, of 2 pings", r"  labels of 2 pings"):
+        assert len(re.findall(f"(?m)^{line}", out)) == 3, out
+    assert re.findall(r"(?m)^level in tank_(.)", out) == ["0", "2", "4"]
+    assert "10 pings in 5 parts of 2\n" in out and "by 6 pings spread over the job: 0, 1, 4, .., 9," in out
 
 
 @pytest.mark.slow
