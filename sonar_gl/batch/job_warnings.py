@@ -94,14 +94,14 @@ def place_warnings(requests: BatchRequests, index: int) -> list[str]:
 
     To look at each ping would take as long as to make them.
     """
-    bodies = requests.scenes[index].bodies
+    bodies, surface_z_m = requests.scenes[index].bodies, requests.scenes[index].surface_z_m
     request = requests[next(run.numbers[0] for run in requests.runs if run.scene == index)]
     poses = [request.bodies.get(body.name, body.pose) for body in bodies]
     present = np.array([pose is not None for pose in poses], bool)
     poses = [np.eye(4) if pose is None else pose for pose in poses]
     place = f"in {requests.job.scenes[index]}: ping {request.number}"
     texts = {
-        name: inside_text(bodies, poses, present, (request.vehicle_pose @ mount)[:3, 3])
+        name: inside_text(bodies, poses, present, (request.vehicle_pose @ mount)[:3, 3], surface_z_m)
         for name, mount in requests.mounts.items()
     }
     return [f"warning: {name} {place}: {text}" for name, text in texts.items() if text]

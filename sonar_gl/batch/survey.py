@@ -166,7 +166,8 @@ def survey(batch: Batch, scene: int, report: Report = no_report) -> list[HardVie
                     decides = plan.worst_body_estimate / WORST_BODY > plan.error_estimate
                     body, n_samples = bodies[plan.worst_body * decides], plan.n_samples
                     place, state = (request.vehicle_pose @ mount)[:3, 3], setup.state
-                    around = body_around(scene_bodies, state.poses, state.present, place)
+                    surface_z_m = setup.surface_z_m
+                    around = body_around(scene_bodies, state.poses, state.present, place, surface_z_m)
                     found.append(
                         HardView(request.number, name, n_samples, plan.bound, body, has_echo, around)
                     )

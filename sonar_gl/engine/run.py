@@ -183,7 +183,8 @@ class Run:
         if not self._has_looked:
             self._has_looked = True
             bodies, state = self.world.scene.bodies[: setup.n_bodies], setup.state
-            text = inside_text(bodies, state.poses, state.present, setup.head_pose[:3, 3])
+            place, surface_z_m = setup.head_pose[:3, 3], setup.surface_z_m
+            text = inside_text(bodies, state.poses, state.present, place, surface_z_m)
             if text:
                 warn_caller(text, InsideWarning)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from sonar_gl.scene.primitives import INFINITE_PLANE_M
 from sonar_gl.scene.scene import Body, Scene
+from sonar_gl.sonar.fan import SURFACE_MARGIN_M
 
 PLANE_FACES = 18  # of an infinite plane
 # A line up from a place passes so far beside corners and edges of meshes, x and y in metres: in the middle of a box it
@@ -65,16 +66,25 @@ def bodies_beyond(bodies: Iterable[Body], places: np.ndarray, range_m: float) ->
     return out
 
 
-def body_around(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, place: np.ndarray) -> str:
+def body_around(
+    bodies: Sequence[Body],
+    poses: np.ndarray,
+    present: np.ndarray,
+    place: np.ndarray,
+    surface_z_m: float | None = None,
+) -> str:
     """Return the name of the first body that a place lies in, or below if it is a terrain; "" if there is none.
 
     A line straight up from there leaves such a body through more faces that look up than it enters through faces that
-    look down. A mesh that is inside out, such as the walls of a tank, holds no place.
+    look down. A mesh that is inside out, such as the walls of a tank, holds no place. Nor does a body in the surface of
+    the water or above it, such as a sheet that shows the surface: a sonar in the water does not see it.
 
     poses : (n, 4, 4) world_from_body
     present : (n,) bool
     place : (3,) x, y, z in the world, metres
+    surface_z_m : height of the water's surface; None if there is none
     """
+    top_m = np.inf if surface_z_m is None or place[2] >= surface_z_m else surface_z_m - SURFACE_MARGIN_M
     for body, pose, is_present in zip(bodies, poses, present, strict=True):
         if not is_present:
             continue
@@ -94,7 +104,7 @@ def body_around(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, 
         met = np.flatnonzero(way)
         (bc, ca, ab), corner_z = sides[[1, 2, 0]][:, met], (a[met, 2], b[met, 2], c[met, 2])
         is_above = np.sign(ab + bc + ca) * (bc * corner_z[0] + ca * corner_z[1] + ab * corner_z[2]) > 0
-        if way[met][is_above].sum() > 0:
+        if way[met][is_above].sum() > 0 and (vertices @ pose[2, :3]).min() + pose[2, 3] < top_m:
             return body.name
     return ""
 
@@ -170,17 +180,24 @@ def place_texts(scene: Scene, poses: np.ndarray, present: np.ndarray, pose: np.n
     poses, present : of `body_around`
     pose : (4, 4) world_from_sonar
     """
-    texts = air_text(scene, pose), inside_text(scene.bodies, poses, present, pose[:3, 3])
+    inside = inside_text(scene.bodies, poses, present, pose[:3, 3], scene.surface_z_m)
+    texts = air_text(scene, pose), inside
     return [text for text in texts if text]
 
 
-def inside_text(bodies: Sequence[Body], poses: np.ndarray, present: np.ndarray, place: np.ndarray) -> str:
+def inside_text(
+    bodies: Sequence[Body],
+    poses: np.ndarray,
+    present: np.ndarray,
+    place: np.ndarray,
+    surface_z_m: float | None = None,
+) -> str:
     """Return the warning of a sonar inside a body, or below a terrain; "" without one; parameters of `body_around`.
 
     >>> inside_text([], [], [], np.zeros(3))
     ''
     """
-    name = body_around(bodies, poses, present, place)
+    name = body_around(bodies, poses, present, place, surface_z_m)
     if not name:
         return ""
     at = ", ".join(f"{round(number, 3) + 0.0:.10g}" for number in map(float, place))

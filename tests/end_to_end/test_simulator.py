@@ -924,6 +924,20 @@ def test_the_first_ping_of_a_sonar_inside_a_body_warns():
             assert one.filename == __file__
 
 
+def test_a_sonar_below_a_sheet_in_the_surface_of_the_water_is_in_no_body():
+    """A mesh of the surface, for a viewer, is not seen from the water; others see the sonar below a terrain."""
+    sheet = sg.Body("surface", trimesh.Trimesh([[-9, -9, 0], [9, -9, 0], [0, 9, 0]], [[0, 1, 2]]))
+    for surface_z_m, said in ((None, ["InsideWarning"]), (0.0, [])):
+        scene = sg.Scene([sheet, BOX], surface_z_m=surface_z_m)
+        with (
+            sg.Simulator(scene, SONAR, sampling=SAMPLING) as it,
+            warnings.catch_warnings(record=True) as caught,
+        ):
+            warnings.simplefilter("always")
+            assert it.ping(sg.pose(0, 2, -0.4)).intensity.any()
+        assert [one.category.__name__ for one in caught] == said
+
+
 def test_the_place_of_a_sonar_in_a_body_is_told_to_millimetres_also_in_utm():
     place = sg.pose(451234.5, 4987654.321, -5)
     ball = sg.Body("ball", trimesh.creation.icosphere(3, 1.0), place)

@@ -15,11 +15,12 @@ from tests.support.worlds import terrain
 BALL = sg.Body("ball", trimesh.creation.icosphere(2, 1.0), sg.pose(5, 0, 0))
 
 
-def around(bodies, place, poses=None, present=None):
+def around(bodies, place, poses=None, present=None, surface_z_m=None):
     """The name of the body about a place, in bodies where they are."""
     poses = [body.pose for body in bodies] if poses is None else poses
     present = [True] * len(bodies) if present is None else present
-    return body_around(bodies, np.asarray(poses), np.asarray(present), np.asarray(place, float))
+    of_bodies = bodies, np.asarray(poses), np.asarray(present)
+    return body_around(*of_bodies, np.asarray(place, float), surface_z_m)
 
 
 @pytest.mark.parametrize(
@@ -55,6 +56,17 @@ def test_a_place_below_a_floor():
     low, high = hills.mesh.bounds[:, 2] - 8
     assert around([hills], (0.3, 0.2, low - 0.1)) == "hills"
     assert around([hills], (0.3, 0.2, high + 0.1)) == around([hills], (30, 0, low - 0.1)) == ""
+
+
+def test_a_place_in_the_water_lies_in_no_body_that_is_in_its_surface_or_above():
+    """A sheet that shows the surface looks up, as terrain does. What reaches into the water still counts."""
+    sheet = sg.Body("sheet", terrain(np.random.default_rng(1), 40.0, 0.0, 2), sg.pose(z=-3))
+    assert around([sheet], (0.3, 0.2, -5)) == around([sheet], (0.3, 0.2, -5), surface_z_m=0.0) == "sheet"
+    assert around([sheet], (0.3, 0.2, -5), surface_z_m=-3.0) == ""
+    assert around([sheet], (0.3, 0.2, -5), surface_z_m=-4.0) == ""
+    assert around([sheet], (0.3, 0.2, -5), surface_z_m=-6.0) == "sheet"  # the sonar is in the air
+    assert around([BALL], (5, 0, -0.5), surface_z_m=-0.2) == "ball"
+    assert around([BALL, sheet], (5, 0, -0.5), [BALL.pose, sg.pose()], surface_z_m=0.0) == "ball"
 
 
 def test_the_first_of_several_bodies_is_named():
