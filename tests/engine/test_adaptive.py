@@ -498,9 +498,14 @@ class TestMoving:
         """Down to the coarsest; planned ones stay."""
         error = SampleLimitError("too many")
         sampler = simulator.run.sampler
+        sampler.choice = replace(sampler.choice, is_due=True)
+        sampler.history = sampler.history._replace(costs=(1e12,) * 20)
+        simulator.ping(np.eye(4))
+        assert sampler.choice.begun is not None and sampler.is_deciding(sampler.history)
         sampler.choice = replace(sampler.choice, level=1)
         with simulator.run.drawing():
             resolution = sampler.fewer_samples(error)
+        assert sampler.choice.begun is None  # a check of finer samples
         assert resolution.check and resolution.stage.sampling == sampling_at(SONAR, 0)
         assert (sampler.choice.level, sampler.choice.finest, sampler.choice.is_due) == (0, 0, True)
         assert not sampler.plan.met and sampler.plan.bound > sampler.tolerance  # it was of finer samples
