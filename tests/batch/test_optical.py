@@ -344,7 +344,7 @@ def test_messages(optical):
         (lambda: optical(HERE, ["ball"]), "bodies must be a dict (got list; such as"),
         (
             lambda: optical(HERE, {"wal": None}),
-            "bodies must be bodies of the scene (got 'wal'; did you mean 'wall' or 'ball' or 'small'?)",
+            "bodies must be bodies of the scene (got 'wal'; did you mean 'wall'?)",
         ),
         (
             lambda: optical(HERE, {"wall": np.diag([1.0, 2.0, 1.0, 1.0])}),

@@ -120,7 +120,8 @@ def test_host_drawn_sectors_give_the_simulator_s_ping(host, profile, fov_deg):
         ping = sensor.finish(labels=True, bodies=names(SCENE))
     # a host does not tell where its bodies are, within whose ranges the longest footprints are kept
     assert difference(ping, true) < SNAPPING
-    assert (ping.body_id != true.body_id).mean() < 2e-3  # likewise, and bins with two equal echoes
+    # likewise, most of them behind the outline of a ball, and bins with two equal echoes
+    assert (ping.body_id != true.body_id).mean() < 3e-3
     # a body's echo depends on the samples along its outline, one of which may hit another body
     assert np.allclose(ping.body_echo, true.body_echo, rtol=1e-3, atol=1e-4 * true.body_echo.sum())
     assert ping.meta["bodies"] == names(SCENE)

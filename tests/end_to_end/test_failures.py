@@ -183,7 +183,8 @@ def test_normals_that_are_not_numbers():
 def test_degenerate_and_duplicate_triangles():
     plain, ours = oddities.broken_triangles()
     assert plain == 24  # all degenerate faces
-    assert ours < 1e-5  # float32 sums in another order of faces
+    # the box with them is not closed: samples at its outline may reach behind what is visible of it
+    assert ours < 2e-4
 
 
 def test_far_from_the_origin():

@@ -15,7 +15,7 @@ from sonar_gl.noise.gaussian import standard_normal
 from sonar_gl.noise.noise import add_noise
 from sonar_gl.noise.place_locked_speckle import FieldShape, add_products, place_locked_field
 from sonar_gl.noise.random_streams import stream
-from sonar_gl.noise.reception import reception_of
+from sonar_gl.noise.reception import receiver_of
 from sonar_gl.noise.settings import Noise
 from sonar_gl.noise.speckle import TAPS, FieldCorrelation, aperture_width
 from sonar_gl.noise.wave_cache import CHUNK, RECENT_USES, WaveCache
@@ -365,7 +365,7 @@ def any_shape(rng, sonar) -> FieldShape:
     ping = Ping(
         np.zeros((sonar.n_beams, n_bins)), sonar.azimuth_rad, sonar.range_m, sonar=sonar, acoustics=acoustics
     )
-    reception = reception_of(ping, PLACE_LOCKED)
+    reception = receiver_of(ping, PLACE_LOCKED)
     beams = reception.correlation._replace(pulse_weights=None)
     wavelength_m = reception.sound_speed_m_s / sonar.frequency_hz
     return FieldShape(beams, n_bins, ping.bin_size_m, wavelength_m, reception.pulse)
