@@ -52,8 +52,9 @@ def dry_run(job: Job, devices: list, report: Callable[[str], None]) -> str:
             size = f"{name} in {job.scenes[scene]}: {sonar.n_beams} beams x {sonar.n_bins} bins"
             lines += _views_text(size, [view for view in views if view.sonar == name], requests)
             lines += [_seen_text(one) for one in tried.seen if (one.scene, one.sonar) == (scene, name)]
+    for scene, name in enumerate(job.scenes):
         if text := other_unit_text(requests.scenes[scene]):
-            report(f"warning: {job.scenes[scene]}: {text}")
+            report(f"warning: {name}: {text}")
     parts = "1 part" if manifest.n_parts == 1 else f"{manifest.n_parts} parts of {manifest.pings_per_part}"
     files = ", each a file of the bag (a larger pings_per_part makes fewer files)"
     lines.append(f"{n} pings in {parts}{files if job.ros is not None and manifest.n_parts > 1 else ''}")

@@ -142,21 +142,23 @@ def place_bodies(poses, present, bodies, pose, near_m, matrices, table):
 
 
 def body_spans(
-    matrices: np.ndarray, bounds: np.ndarray, extremes: np.ndarray, spheres: np.ndarray
+    matrices: np.ndarray, bounds: np.ndarray, extremes: np.ndarray, spheres: np.ndarray, near_m: float
 ) -> np.ndarray:
     """Return `body_spans` of `ViewSamples`: 1/range of the furthest place of each body, and of the nearest of its box.
 
-    What a sphere within the body hides does not count: of a ball, all behind its outline.
+    What a sphere within the body hides does not count: of a ball, all behind its outline. Where the sonar is in the box
+    of a closed body it sees its back faces, and all counts.
 
-    matrices : of `place_bodies`; bounds, extremes, spheres : of BodyBoxes, the last one zeros where a body is cut open
+    matrices, near_m : of `place_bodies`
+    bounds, extremes, spheres : of BodyBoxes, the last one zeros where a body is cut open
     """
     out = np.empty((len(matrices) + 1, 2))
-    _find_body_spans(matrices, bounds, extremes, spheres, out)
+    _find_body_spans(matrices, bounds, extremes, spheres, near_m, out)
     return out
 
 
 @compiled
-def _find_body_spans(matrices, bounds, extremes, spheres, out):
+def _find_body_spans(matrices, bounds, extremes, spheres, near_m, out):
     """Fill `out` with what `body_spans` returns."""
     out[0, 0], out[0, 1] = 0.0, np.inf
     sonar = np.empty(3)  # in the body's frame
@@ -174,7 +176,9 @@ def _find_body_spans(matrices, bounds, extremes, spheres, out):
             far2 = max(far2, apart2)
         inner2, outer2 = spheres[n, 0] ** 2, spheres[n, 1] ** 2
         away2 = sonar[0] ** 2 + sonar[1] ** 2 + sonar[2] ** 2
-        if 0.0 < inner2 < away2:  # the furthest ray that passes the inner sphere ends at the outer one
+        is_outside = near2 * square > 3 * (CORNER * near_m) ** 2
+        # the furthest ray that passes the inner sphere ends at the outer one
+        if is_outside and 0.0 < inner2 < away2:
             far2 = min(far2, (math.sqrt(away2 - inner2) + math.sqrt(outer2 - inner2)) ** 2)
         out[n + 1, 0] = 1.0 / (scale * math.sqrt(far2)) if far2 > 0.0 else np.inf
         out[n + 1, 1] = 1.0 / (scale * math.sqrt(near2)) if near2 > 0.0 else np.inf

@@ -183,7 +183,7 @@ class SceneMeshes:
             nearest, furthest = distance_before_plane(plane, matrices, self.boxes.bounds)
             present, is_cut = present & (furthest > 0), nearest < 0
         spheres = np.where(is_cut[:, None], 0.0, self.boxes.spheres)
-        spans = body_spans(matrices, self.boxes.bounds, self.boxes.extremes, spheres)
+        spans = body_spans(matrices, self.boxes.bounds, self.boxes.extremes, spheres, NEAR_M)
         has_lobes = specular and self._has_lobes
         return BodiesInView(present, matrices, table, outside, has_lobes, plane, is_cut, spans)
 

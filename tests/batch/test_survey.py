@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 
 import sonar_gl as sg
+from sonar_gl.batch import dry_run as dry_run_module
 from sonar_gl.batch import parts
 from sonar_gl.batch import survey as survey_module
 from sonar_gl.batch.steps import begin, create_store
@@ -72,6 +73,7 @@ def test_a_dry_run_of_many_scenes_makes_pings_of_some_of_them(tmp_path, monkeypa
     """All would take longer than the job, as of random scenes with few pings each."""
     use_inline_pool(monkeypatch)
     monkeypatch.setattr(survey_module, "MOST_SCENES", 3)
+    monkeypatch.setattr(dry_run_module, "other_unit_text", lambda _scene: "it is large")
     path = write_plain_job(tmp_path, 2, 2, LABELS)
     names = [f"tank_{number}.sdf" for number in range(5)]
     for name in names:
@@ -83,6 +85,7 @@ def test_a_dry_run_of_many_scenes_makes_pings_of_some_of_them(tmp_path, monkeypa
     for line in (r"level in tank_(.).sdf: .*, of 2 pings", r"  labels of 2 pings"):
         assert len(re.findall(f"(?m)^{line}", out)) == 3, out
     assert re.findall(r"(?m)^level in tank_(.)", out) == ["0", "2", "4"]
+    assert re.findall(r"(?m)^warning: tank_(.).sdf: it is large$", err) == list("01234")
     assert "10 pings in 5 parts of 2\n" in out and "by 6 pings spread over the job: 0, 1, 4, .., 9," in out
 
 

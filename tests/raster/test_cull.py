@@ -15,11 +15,11 @@ import sonar_gl as sg
 from sonar_gl.raster import level_of_detail as detail
 from sonar_gl.raster import scene_meshes
 from sonar_gl.raster import views as raster_views
-from sonar_gl.raster.cull import BEYOND
+from sonar_gl.raster.cull import BEYOND, CORNER
 from sonar_gl.raster.opengl import buffers
 from sonar_gl.raster.views import SectorView, stacked
 from sonar_gl.scene.state import SceneState
-from sonar_gl.sonar.fan import FAR_FACTOR
+from sonar_gl.sonar.fan import FAR_FACTOR, NEAR_M
 from tests.support.worlds import random_rotation, terrain
 
 SONAR = sg.Sonar("test", 900e3, 64, 200, 100.0, 20.0, 1.5, 0.5, 30.0)
@@ -497,6 +497,23 @@ def test_the_spans_of_bodies_hold_all_of_their_visible_places(mesh, share):
         expected_m = np.linalg.norm(np.maximum(0, np.maximum(low - sonar, sonar - high)))
         assert 1 / nearest == pytest.approx(expected_m, rel=1e-12)
         assert expected_m <= ranges_m.min() * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("is_inverted", [True, False])
+@pytest.mark.parametrize(
+    "mesh", [trimesh.creation.box((12, 8, 4)), trimesh.creation.icosphere(3, 4.0)], ids=["box", "ball"]
+)
+def test_the_spans_of_a_body_about_the_sonar_hold_all_of_it(mesh, is_inverted):
+    """As of a tank, whose walls are seen through the sphere that it fills; also just outside, before the near plane."""
+    mesh = mesh.copy()
+    if is_inverted:
+        mesh.invert()
+    ends = mesh.bounds[1]
+    for place in (0.9 * ends / np.sqrt(3), ends * (0.97, 0, 0), ends * (1, 0, 0) + (CORNER * NEAR_M, 0, 0)):
+        spans = meshes_of([sg.Body("tank", mesh)]).view_from(sg.pose(*place)).spans
+        furthest_m = np.linalg.norm(mesh.vertices - place, axis=1).max()
+        # some vertices of a ball stand for all
+        assert 1 / spans[1, 0] >= furthest_m - (0.02 * ends[0] if len(mesh.vertices) > 8 else 1e-12)
 
 
 def test_a_mesh_that_takes_long_to_prepare_is_warned_of(monkeypatch):
