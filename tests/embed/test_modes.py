@@ -118,8 +118,9 @@ def test_host_drawn_sectors_give_the_simulator_s_ping(host, profile, fov_deg):
     with embed.Sensor(sonar, acoustics, SAMPLING) as sensor:
         draw(host, sensor, lobes=acoustics.specular)
         ping = sensor.finish(labels=True, bodies=names(SCENE))
-    # a host does not tell where its bodies are, within whose ranges the longest footprints are kept
-    assert difference(ping, true) < SNAPPING
+    # A host does not tell where its bodies are, within whose visible ranges the longest footprints are kept: those at
+    # the outline of the ball have a thousandth of the echo of a fan all round.
+    assert difference(ping, true) < (SNAPPING if fov_deg < 360 else 2e-3)
     # likewise, most of them behind the outline of a ball, and bins with two equal echoes
     assert (ping.body_id != true.body_id).mean() < 3e-3
     # a body's echo depends on the samples along its outline, one of which may hit another body
