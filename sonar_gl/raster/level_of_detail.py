@@ -334,9 +334,8 @@ def radii_about(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     areas = np.cross(b - a, c - a)  # vectors of twice the area
     lengths = np.linalg.norm(areas, axis=1)
     is_proper = lengths > 0
-    heights = (
-        np.einsum("fi,fi->f", areas, a)[is_proper] / lengths[is_proper]
-    )  # of the origin below the faces' planes
+    # of the origin below the faces' planes
+    heights = np.einsum("fi,fi->f", areas, a)[is_proper] / lengths[is_proper]
     outer = np.linalg.norm(points[faces], axis=2).max()
     return np.array([max(heights.min(initial=outer), 0.0), outer])
 

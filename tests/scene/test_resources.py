@@ -405,6 +405,8 @@ def test_names_too_long_for_a_file(message_of):
             "<sdf version='1.9'>\n<y rov:type='1'/>{}</sdf>",
             "line 2: the prefix rov is not declared; add xmlns:rov='urn:rov' to <sdf>",
         ),
+        ("<sdf version='1.9'>\n<gz:/>{}</sdf>", "line 2: 'gz:' is no name of XML; remove its colon"),
+        ("<sdf version='1.9'><y gz:='1'/>{}</sdf>", "line 1: 'gz:' is no name of XML; remove its colon"),
         ("<sdf version='1.9'>\n<!-- a -- b -->{}</sdf>", 'line 2: "--" in a comment'),
         (
             "<!-- who -->\n<?xml version='1.0'?><sdf version='1.9'>{}</sdf>",

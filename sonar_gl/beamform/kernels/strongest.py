@@ -288,9 +288,8 @@ def _compare(body, room):
             n_stronger += is_stronger
         if n_stronger == 0:
             continue
-        for k in range(
-            uint64(TILE_BINS)
-        ):  # both are read before the choice: the compiler vectorises no other one
+        # both are read before the choice: the compiler vectorises no other one
+        for k in range(uint64(TILE_BINS)):
             before = body_id[bins + k]
             body_id[bins + k] = body if stronger[k] else before
         for moment in range(MOMENTS):

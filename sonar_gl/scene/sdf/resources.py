@@ -20,7 +20,7 @@ MAX_PACKAGE_DEPTH = 4  # of folders of ROS packages below a resource path
 # What Gazebo's parser, tinyxml2, accepts against the rules of XML, by libxml2's numbers: a declaration that is not
 # first, "--" in a comment, and prefixes that are not declared, of tags and attributes. lxml has no names for them.
 TOLERATED = {64: "the XML declaration is not first", 80: '"--" in a comment', 201: "", 202: ""}
-UNDECLARED = re.compile(r"Namespace prefix (\S+) ")  # in libxml2's text of the last two
+UNDECLARED = re.compile(r"Namespace prefix (\S+) ")  # in libxml2's text of 201
 NAMESPACES = {"gz": "http://gazebosim.org/schema", "ignition": "http://ignitionrobotics.org/schema"}
 BARE_AND = re.compile(rb"&(?!#?\w+;)")  # accepted as well, as in "A & B" or "?a=1&b=2"
 # of tags without a prefix; Gazebo takes it for an attribute without meaning, and the tags for its own
@@ -396,8 +396,11 @@ class Resources:
 
 
 def _undeclared(message: str, root) -> str:
-    """Return what to add for a prefix that libxml2 says is not declared."""
-    prefix = UNDECLARED.match(message)[1]
+    """Return what to change where libxml2 says that a prefix is not declared, or that a name with a colon has none."""
+    found = UNDECLARED.match(message)
+    if found is None:  # "Failed to parse QName 'gz:'"
+        return f"{message.split()[-1]} is no name of XML; remove its colon"
+    prefix = found[1]
     namespace = NAMESPACES.get(prefix, f"urn:{prefix}")
     return f"the prefix {prefix} is not declared; add xmlns:{prefix}='{namespace}' to <{root.tag}>"
 
